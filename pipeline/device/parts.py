@@ -226,7 +226,8 @@ class SimulationParts(Part):
     held_samples : float
         Fraction of samples in which the sensor repeats its last value for both the controller and the log.
     repeated_rows : float
-        Fraction of rows in which the log repeats the previous position, while the controller receives the true one.
+        Fraction of rows in which the log repeats the previous position, while the controller receives the true
+        position.
     ramp_samples : int
         Number of samples in which the external force rises. It is 1 for an ideal step.
     later_steps : tuple of LaterStep

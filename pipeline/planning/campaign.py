@@ -75,7 +75,7 @@ counts as unknown.
 """
 
 RANGE = 1.5
-"""Default of the largest damping, relative to that of the stiffest wall."""
+"""Default of the largest damping, relative to the damping of the stiffest wall."""
 
 AGAIN = 3
 """Factor by which the number of logs must grow before the parts of the device are selected again."""
@@ -355,7 +355,7 @@ def wanted_dampings(campaign: Campaign, options: PlanOptions) -> tuple[float, ..
     else:
         wanted = tried
     if not len(wanted):
-        reason = campaign.unknown or "its logs have no wall"
+        reason = campaign.unknown or "its logs contain no trial with a wall"
         raise UsageError(f"device {campaign.name!r}: {reason.rstrip('.')}; {RANGE_NEEDED}.")
     wanted = _as_answered(wanted, campaign.answers)
     wanted = wanted[wanted <= options.largest_damping]
@@ -368,7 +368,8 @@ def wanted_dampings(campaign: Campaign, options: PlanOptions) -> tuple[float, ..
 
 
 def damping_range(loop: Loop) -> Floats:
-    """Return dampings over the range of a device [Ns/m, Nms/rad], up to `RANGE` times that of its stiffest wall."""
+    """Return dampings over the range of a device [Ns/m, Nms/rad], up to `RANGE` times the damping of its stiffest
+    wall."""
     last = RANGE * damping_of_stiffest(loop)
     if not last > 0:
         return np.empty(0)
@@ -388,8 +389,7 @@ def settable_dampings(wanted: Floats, tried: Floats) -> Floats:
 
 
 def _as_answered(wanted: Floats, answers: Sequence[AnsweredWall]) -> Floats:
-    """Return the wanted dampings. If the rig set a different damping instead that is near, or set it twice, it is
-    used."""
+    """Return the wanted dampings. A damping that the rig set instead is used if it is near, or was set twice."""
     near = 0.5 * float(np.diff(wanted).min()) if len(wanted) > 1 else AS_SET * float(wanted.max(initial=0.0))
     result = wanted.copy()
     for place, damping in enumerate(wanted.tolist()):

@@ -1,7 +1,7 @@
 """Search for the goal `optimum`, which selects walls to try until the best cost by a criterion is found.
 
 The device identified from all logs predicts the cost of each wall. The deviation of measured costs is modelled as a
-random function of (K, B). The best wall is always one with a measured cost.
+random function of (K, B). The best wall always has a measured cost.
 """
 
 from __future__ import annotations
@@ -259,7 +259,7 @@ def _observations(tried: TriedWalls, target: CostTarget) -> tuple[Floats, Floats
 def _neighbour_rise(K: Floats, B: Floats, ahead: Floats, target: CostTarget) -> Floats:
     """Return the mean increase of the predicted log cost at the neighbours of walls.
 
-    It matters because the best walls are next to a jump of the cost.
+    This increase matters because the best walls are next to a jump of the cost.
     """
     off = [target.predicted(K * (1 + k), B * (1 + b)) - ahead for k, b in NEIGHBOUR_OFFSETS]
     return np.asarray(np.mean([np.where(np.isnan(each), NO_COST, each) for each in off], axis=0))

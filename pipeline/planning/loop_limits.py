@@ -44,8 +44,8 @@ NARROW = 0.2
 parameters."""
 
 OUTLINE = 60
-"""Number of points of the boundary on which the stiffest wall is located. Few are enough, because the limit is flat
-there."""
+"""Number of points of the boundary on which the stiffest wall is located. Few points are enough, because the limit is
+flat there."""
 
 
 @dataclass(frozen=True)

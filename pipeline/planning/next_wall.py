@@ -36,7 +36,7 @@ DOUBT = 0.08
 """Probability that the forecast is wrong, so that the limit may lie anywhere in its bracket."""
 
 PRICE = 6.0
-"""Number of stable trials that cost as much as an unstable one, if the rig is to be protected."""
+"""Number of stable trials that cost as much as an unstable trial, if the rig is to be protected."""
 
 SAFE, BOLD = 1.5, 0.3
 """Factors for protection of the rig.
@@ -133,7 +133,7 @@ class Bracket:
     low, high : float or None
         Stiffest stable and softest unstable wall that enclose the limit [N/m, Nm/rad]. None if none was tried.
     again : tuple of float
-        Stiffness of walls to try again because their verdicts contradict others, fewest trials first.
+        Stiffness of walls to try again because their verdicts contradict other verdicts, fewest trials first.
     even : tuple of float
         Stiffness of those walls that have equal numbers of stable and unstable trials.
     lasting : bool
@@ -238,7 +238,7 @@ class PlanGoal:
     force : float
         Largest permitted command [N, Nm]. If a trial exceeded it, no stiffer wall is tried at its damping.
     bold : float
-        Stiffest wall to try, relative to the stiffest stable one. It is infinite if a device is identified reliably.
+        Stiffest wall to try, relative to the stiffest stable wall. It is infinite if a device is identified reliably.
     few : bool
         Whether the logs are so few that all possibly unstable walls are avoided.
     foresees : bool
@@ -719,8 +719,8 @@ def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0, 
         Largest stiffness difference between two adjacent edges at which the search ends once the limit is known to lie
         between them.
     price : float
-        Number of stable trials that cost as much as an unstable one. If the price is above 1, the search approaches the
-        limit from below.
+        Number of stable trials that cost as much as an unstable trial. If the price is above 1, the search approaches
+        the limit from below.
     most : float
         Stiffest wall of this trial. Later trials may be stiffer.
 
@@ -770,8 +770,8 @@ def order(columns: tuple[DampingState, ...]) -> list[int]:
     """Return the indices of dampings that are not done, in the order in which to try them.
 
     Contradictions come first, then started dampings (the nearest to completion first), then the dampings farthest from
-    all tried ones, which give most information about the device. Undecided walls that need longer logs are last, unless
-    no trial has a verdict yet.
+    all tried dampings, which give most information about the device. Undecided walls that need longer logs are last,
+    unless no trial has a verdict yet.
     """
     left = [i for i, column in enumerate(columns) if column.wall is not None]
     begun = sorted(

@@ -201,7 +201,7 @@ def plan_of(campaign: Campaign, options: PlanOptions) -> Plan:
     forecast = forecast_of(campaign, dampings)
     if forecast is None and not used:
         raise DeviceError(
-            f"device {campaign.name!r}: {campaign.unknown.rstrip('.') or 'there is no log of it'}; {RANGE_NEEDED}."
+            f"device {campaign.name!r}: {campaign.unknown.rstrip('.') or 'it has no logs'}; {RANGE_NEEDED}."
         )
     rig = range_of(campaign.answers)
     goal = aim_of(campaign, options, dampings, forecast, rig)
@@ -303,7 +303,7 @@ def _remarks(campaign: Campaign, found: PlanState, goal: PlanGoal) -> tuple[str,
 
 
 def _missing(campaign: Campaign, goal: PlanGoal) -> list[str]:
-    """Return the deficits of the logs, with recommended recordings."""
+    """Return remarks on missing data in the logs, with recommended recordings."""
     remarks = []
     if campaign.undecided:
         reason = commonest(campaign.undecided)
@@ -400,7 +400,7 @@ def _next(
             weak = "verdict is"
             if len(bracket.again) > 1:
                 weak = f"verdicts at {listed([f'{value:g}' for value in bracket.again])} {K} are"
-            why = f"repeat it, because the {weak} hardly distinguishable from noise"
+            why = f"repeat this wall, because the {weak} hardly distinguishable from noise"
         elif bracket.even:
             even = ", ".join(f"{value:g}" for value in bracket.even)
             why = f"logs contradict each other at {at}: equal numbers of stable and unstable trials at {even} {K}; "

@@ -31,7 +31,7 @@ FARTHEST = 3.0
 """Largest ratio between the stiffnesses of a request and its answer, if there are more trials than requests."""
 
 EXACT = 1e-6
-"""Tolerance, relative to the largest stiffness, within which a stiffness is a multiple of another."""
+"""Tolerance, relative to the largest stiffness, within which a stiffness is a multiple of another stiffness."""
 
 MOST_PARTS = 40
 """Largest integer by which the common divisor of all stiffnesses is divided to obtain a possible step of a rig."""
@@ -154,7 +154,7 @@ class GainGrid:
         return abs(wall - round(wall / self.step) * self.step) <= EXACT * wall
 
     def nearest(self, wall: float, low: float, high: float) -> float | None:
-        """Return the multiple nearest to a wall and strictly between two others, or None if there is none."""
+        """Return the multiple nearest to a wall and strictly between two other walls, or None if there is none."""
         slack = EXACT * max(abs(low), self.step)
         first = floor((low + slack) / self.step) + 1
         last = ceil((high - slack) / self.step) - 1 if high < inf else max(first, round(wall / self.step))
@@ -195,7 +195,8 @@ class RigRange:
         return len(np.unique(self.asked)) >= MIN_ANSWERS
 
     def wall(self, wanted: float, low: float, high: float, most: float) -> float | None:
-        """Return the stiffness to request so that a wall between two others is set, or None if the rig sets none.
+        """Return the stiffness to request so that a wall between two others is set, or None if the rig sets no wall
+        there.
 
         Parameters
         ----------

@@ -258,7 +258,7 @@ def _wall(loop: Loop, best: RigWall) -> dict[str, float | None]:
 
 
 def _stiffness_reached(loop: Loop, wish: DesignTarget, best: RigWall) -> float | None:
-    """Find the stiffness closest to the required one at which the other requirements are met."""
+    """Find the stiffness closest to the required stiffness at which the other requirements are met."""
     wanted = wish.stiffness
     if wanted is None:
         return best.stiffness if best.room >= 0 else None

@@ -135,7 +135,7 @@ CONDITIONS = (
         "Hulin et al. 2014",
         "Passivity and stability boundaries for haptic systems with time delay, IEEE Trans. CST 22 (4); eq. 4.6",
         "passivity",
-        "any delay (a fractional one by the sum of 4.6 in docs/definitions.md), plain difference; any passive hand",
+        "any delay (a fractional delay by the sum of 4.6 in docs/definitions.md), plain difference; any passive hand",
         _hulin,
     ),
 )
@@ -167,8 +167,8 @@ def published_limits(
     ----------
     loop : Loop
         Loop. The conditions use its mass, damping and stiffness per unit of command. Operator values are included if
-        the condition includes a hand. Passivity excludes the damping of a mode's load. Only the exact limit includes
-        filter, lag and mode.
+        the condition includes a hand. Conditions of passivity exclude the damping of the load of a mode. Only the exact
+        limit includes filter, lag and mode.
     damping : array of float
         Damping B of the wall [Ns/m, Nms/rad].
     coulomb, quantum : float, optional

@@ -38,8 +38,8 @@ _SOFTEST, _SOFTER = 1e-3, 16
 walls."""
 
 _NARROW = 1e-6
-"""Negative of the margin of a wall above an unstable interval, if none of the checked softer walls lies in the
-interval."""
+"""Magnitude of the negative margin of a wall above an unstable interval, if none of the checked softer walls lies in
+the interval."""
 
 _BISECTIONS = 40
 """Number of bisections for the frequency at which a damping becomes unstable. The relative error is then 1e-12."""
@@ -95,7 +95,8 @@ class DesignTarget:
 
 @dataclass(frozen=True)
 class RigWall:
-    """Wall of a rig that is closest to the requirements, with its margin ``room``, >= 0 if they are met."""
+    """Wall of a rig that is closest to the requirements, with its margin ``room``, which is not negative if they are
+    met."""
 
     stiffness: float
     damping: float

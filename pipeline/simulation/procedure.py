@@ -1,7 +1,7 @@
 """Order in which a lab tests pairs (K, B). Coarse steps lead up to the first unstable trial, and fine steps follow.
 
 The ladders of several dampings are climbed in parallel. Trials are simulated in waves. Trials after the first unstable
-one are discarded, so that the result equals the result of sequential testing.
+trial are discarded, so that the result equals the result of sequential testing.
 
 Source: Hulin 2017, sec. 6.1.1, and sec. 6.1.2 for the trials without stiffness.
 """
@@ -52,7 +52,7 @@ class _Ladder:
 
 @dataclass
 class Climb:
-    """Parallel test of several ladders. The trials of a ladder are kept up to and including the first unstable one.
+    """Parallel test of several ladders. The trials of a ladder are kept up to and including the first unstable trial.
 
     Parameters
     ----------

@@ -4,7 +4,7 @@ samples.
 In each sample k, noise is added to the true position, and the sum is rounded to the quantum of the sensor. The wall
 force ``K (x_k - x_0) + B v_k`` is subtracted from the external step. The command is clipped to the force limit and
 reaches the plant some samples later. The motion of the plant is exact between two changes of its input. Each trial has
-its own random streams, and is simulated by `pipeline.loop.closed_loop`.
+separate random streams, and is simulated by `pipeline.loop.closed_loop`.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def simulate(
         Virtual stiffness K [N/m, Nm/rad] and damping B [Ns/m, Nms/rad]; both may be negative.
     seed, stream, repetition : int, str, int
         Seed, name and repetition that together with K and B determine the random streams. Equal values give the same
-        trial, independent of other trials. A longer trial begins with the samples of a shorter one.
+        trial, independent of other trials. A longer trial begins with the samples of a shorter trial.
     disturbance : float64, shape (rows, n), optional
         Force on the device in addition to the command [N, Nm], such as the push of a hand. It is constant between
         two rows, is unknown to the controller and acts without delay.

@@ -235,7 +235,7 @@ def count_marks(rows: Sequence[TheoryRow]) -> dict[Mark, int]:
 
 
 def table_lines(name: str, rows: Sequence[TheoryRow], align: Callable[..., list[str]]) -> list[str]:
-    """Return a table as aligned lines, then the reason for each number that needs one, then an empty line."""
+    """Return a table as aligned lines, followed by the reasons for marked numbers and an empty line."""
     names = [quantity for quantity in QUANTITIES if any(e.name == quantity for row in rows for e in row.entries)]
     columns = ["criterion", "d", "gamma", "delta", *(c for n in names for c in (n, f"{n} printed"))]
     lines = [f"Table {name}: {_counts(rows)}", *align([_cells(row, names) for row in rows], columns)]
