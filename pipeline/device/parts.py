@@ -95,8 +95,7 @@ class Kalman(Part):
 
 
 class AdaptiveWindow(Part):
-    """First-order adaptive window (FOAW). The velocity is the slope over the longest window whose samples are near a
-    line.
+    """First-order adaptive window (FOAW): the slope over the longest window whose samples are near a line.
 
     ``bound`` [m, rad] is the largest distance of a sample from the line through the ends of the window. It is the error
     bound of the sensor, such as its resolution. ``longest`` is the largest window [samples].
@@ -166,8 +165,7 @@ class Friction(Part):
 
 
 class Sensor(Part):
-    """Position sensor, with its quantisation step and the standard deviation of white noise before quantisation [m,
-    rad]."""
+    """Position sensor: quantisation step, and standard deviation of the white noise before quantisation [m, rad]."""
 
     quantum: NonNegative = 0.0
     noise: NonNegative = 0.0
