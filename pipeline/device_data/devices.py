@@ -113,7 +113,7 @@ def load_device(name: str) -> Device:
 
 
 def find_experiment(device: Device, name: str | None) -> Experiment:
-    """Return an experiment of a device by name. Without a name, return the first one.
+    """Return an experiment of a device by name. Without a name, return the first experiment.
 
     Raises
     ------

@@ -41,8 +41,8 @@ ZERO_RATE = 1e-6
 """Threshold for the growth rate, relative to the range of the rates. Below it, the rate is zero except for rounding."""
 
 ZERO_RATE_AT_END = 0.01
-"""Threshold like `ZERO_RATE` for the largest tested B, with noise. It corresponds to an error of 1 % of the tested
-range of B."""
+"""Threshold like `ZERO_RATE`, but for the largest tested B and for rates with noise. It corresponds to an error of 1 %
+of the tested range of B."""
 
 
 @dataclass(frozen=True)

@@ -326,14 +326,16 @@ def _experiment(name: str, requested: str | None, stored: Sequence[str], device:
     if requested is not None:
         return requested
     if len(stored) > 1:
-        raise UsageError(f"device {name!r} has logs of experiments {', '.join(stored)}. Name one (--experiment).")
+        raise UsageError(
+            f"device {name!r} has logs of experiments {', '.join(stored)}. Name an experiment (--experiment)."
+        )
     if stored:
         return stored[0]
     return device.experiments[0].name if device else ""
 
 
 def wanted_dampings(campaign: Campaign, options: PlanOptions) -> tuple[float, ...]:
-    """Return the dampings at which limits are wanted: the stated ones, or otherwise evenly spaced or tried dampings.
+    """Return the dampings at which limits are wanted: stated dampings, or otherwise evenly spaced or tried dampings.
 
     Each evenly spaced damping is moved to a nearby damping that was tried, or that is on the grid of the device file.
     A damping that the rig replaced is replaced here in the same way.

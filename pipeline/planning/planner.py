@@ -428,7 +428,7 @@ def _next(
         basis, chance = "the identified device has no stable wall there", 1.0
     elif found.forecast.misfit < inf and column.estimate is not None:
         basis = f"limit expected at {rounded_down(column.estimate, goal.accuracy * found.largest):g} {K}"
-    lasting = "; stable walls lie above unstable ones, so the lowest limit is used" if bracket.lasting else ""
+    lasting = "; stable walls lie above unstable walls, so the lowest limit is used" if bracket.lasting else ""
     expected: Expected = "unstable" if chance > SURE else "stable" if chance < 1 - SURE else "undecided"
     # Above stable walls, a verdict is predicted only if all devices consistent with the logs agree.
     place = [each.damping for each in found.columns].index(column.damping)

@@ -25,7 +25,7 @@ Wall = tuple[float, float]
 """K [N/m, Nm/rad] and B [Ns/m, Nms/rad]."""
 
 OFF = 1e-4
-"""Relative tolerance within which a wall equals the requested one."""
+"""Relative tolerance within which a set wall equals the requested wall."""
 
 FARTHEST = 3.0
 """Largest ratio between the stiffnesses of a request and its answer, if there are more trials than requests."""
@@ -64,12 +64,12 @@ class AnsweredWall(Record):
 
     @property
     def stiffness_off(self) -> bool:
-        """Whether the rig set a stiffness other than the requested one."""
+        """Whether the rig set a stiffness other than the requested stiffness."""
         return abs(self.got[0] - self.asked[0]) > OFF * self.asked[0]
 
     @property
     def damping_off(self) -> bool:
-        """Whether the rig set a damping other than the requested one."""
+        """Whether the rig set a damping other than the requested damping."""
         return abs(self.got[1] - self.asked[1]) > OFF * max(self.asked[1], self.got[1])
 
 

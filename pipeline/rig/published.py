@@ -107,7 +107,7 @@ CONDITIONS = (
         "Salcudean and Vlaar 1997",
         "On the emulation of stiff walls and static friction, ASME J. Dyn. Syst. Meas. Control 119 (1)",
         "stability",
-        "mass alone, no damping, one sample of delay; exact",
+        "mass only, no damping, one sample of delay; exact",
         _salcudean,
     ),
     Condition(

@@ -71,7 +71,7 @@ QUANTITIES = {
         Quantity("actuator_lag_s", "lag of the actuator", (1 / 32, 4.0)),
     )
 }
-"""Quantities by name. The delay is in samples. A change of T alone keeps d and changes the delay in seconds."""
+"""Quantities by name. The delay is in samples. If only T is changed, d is kept, and the delay in seconds changes."""
 
 
 def present(loop: Loop, keep: tuple[str, ...] = ()) -> list[Quantity]:

@@ -45,8 +45,8 @@ class PrintedOptimum:
     printed : dict
         All printed numbers of the row: stiffness [N/m, Nm/rad], damping [Ns/m, Nms/rad], cost (overshoot in %).
     deviation_percent : float or None
-        For a measurement, the deviation of its printed cost from that of discrete theory. None if the theoretical cost
-        is 0.
+        For a measurement, the deviation of its printed cost from the cost by discrete theory. None if the theoretical
+        cost is 0.
     """
 
     table: str

@@ -1,7 +1,7 @@
 """Estimate the error of each reading, compared with the same trial with an ideal sensor.
 
 A sensor error has two effects. It shifts its own reading, and the wall responds with a force that moves the device.
-Both can be estimated from the log alone. The wall force due to an error acts at the same point as the external force,
+Both effects can be estimated from the log. The wall force due to an error acts at the same point as the external force,
 so the response of the loop to an error follows from its step response.
 """
 
@@ -95,8 +95,8 @@ class ReadingError:
         Response of a reading to an error of 1 m (1 rad) j samples earlier, through the wall; 1 for j = 0, and 0 after
         the end of the log.
     deviation, change : float64, shape (rows,)
-        Standard error of each reading relative to the first one [m, rad], and of its change since the previous sample,
-        both compared with the same trial with an ideal sensor.
+        Standard error of each reading relative to the first reading [m, rad], and of its change since the previous
+        sample, both compared with the same trial with an ideal sensor.
     reason : str
         Reason why there are no values.
     """
@@ -278,7 +278,8 @@ def _answers(x: Floats, edge: int, K: float, B: float, d: int, sigma: float) -> 
     error and the persistent error of the first reading, 1 + (sum_{j<k} c_j)^2. Row 2 is due to the responses to the
     errors in between, sum_{0<j<k} c_j^2. Row 3 is the variance of the change of the reading,
     1 + c_{k-1}^2 + sum_{0<j<k} (c_j - c_{j-1})^2. The contribution of noise to the squares is subtracted. The means are
-    those of x^2 in the last, second to last and third to last fifth, then those of rows 1 and 2 in the last fifth.
+    the means of x^2 in the last, second to last and third to last fifth, followed by the means of rows 1 and 2 in the
+    last fifth.
 
     Source: Hulin 2017, eq. 3.18 (wall force, here due to the error of the sensor).
     """

@@ -24,7 +24,7 @@ all delays."""
 
 MIRRORED = 2.0
 """Threshold for the decrease of the log residual. Above it, a device counts as moving against its command. The decrease
-is 8 or more for a wrong sign and negative for a correct one."""
+is 8 or more for a wrong sign, and negative for a correct sign."""
 
 ROUNDED = 1e-12
 """Smallest eigenvalue of the scaled normal equations, relative to the largest. Smaller eigenvalues are rounding
@@ -158,7 +158,7 @@ def _balances(segments: Segments, names: list[str], delay: float, once: Floats) 
 
 
 def shortest(lefts: Floats) -> int:
-    """Return the index of the shortest delay whose residual is close to the smallest one.
+    """Return the index of the shortest delay whose residual is close to the smallest residual.
 
     If a mode dominates the motion, every delay explains little of the motion. A large delay then fits hardly better
     than the true delay.

@@ -53,7 +53,7 @@ def driven_by_force(each: Recording, weights: tuple[float, ...] = TRAPEZOIDAL) -
     The command of a row is the mean force over the interval between the next two rows. A delay of one sample therefore
     means that force and motion are measured at the same time. The motion may also precede the force.
     """
-    assert each.force is not None, "only recordings with a measured force have another command"
+    assert each.force is not None, "only recordings with a measured force can be driven by this force"
     force, reach = each.force, len(weights)
     padded = np.pad(force, reach - 1, mode="edge")
     count = len(force) - 2

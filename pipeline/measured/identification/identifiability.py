@@ -48,7 +48,7 @@ class IdentifiableCombination:
     unit : str
         Dimension in `parameters.UNITS`, or a unit.
     record : str
-        Recommended recording, with which each member becomes identifiable.
+        Recommended recording that makes each member identifiable.
     """
 
     code: str

@@ -107,7 +107,7 @@ class Identification:
     drive : dict of str to Interval
         "positive" and "negative": mass per unit of a positive and of a negative command. "asymmetry": half the
         difference between the two gains, divided by their mean. "small" and "large": mass per unit of a small command
-        and of the largest one. "curvature": share of the force that is missing at the largest command. Empty if the
+        and of the largest command. "curvature": share of the force that is missing at the largest command. Empty if the
         gain depends on neither direction nor size, or if no device explains the logs.
     gravity : dict of str to Interval
         "torque": largest torque of gravity per unit of command [Nm]. "angle": recorded angle at which the device would

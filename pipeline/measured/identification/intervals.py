@@ -126,8 +126,8 @@ class Errors:
     def of(cls, fit: Fit) -> Errors:
         """Return the errors of a fit, from its information matrix and from one Newton step without each unit.
 
-        In few logs, a single portion may be the only one that identifies a number, such as the delay. The step without
-        it is then of first order.
+        In few logs, only a single portion may identify a number, such as the delay. The step without it is then of
+        first order.
 
         Raises
         ------

@@ -459,8 +459,8 @@ def jitter_force(a: Floats, now: int, K: Floats, g: int, forces: Any) -> None:
 
 GAIN, COULOMB, FORCE, FIELDS, SHAPE = 0, 1, 2, 3, 6
 """Codes of the columns of `whitened`: acceleration per unit of command, due to Coulomb friction, due to a constant
-force, and due to three forces that depend on the position. Codes from SHAPE on are parameters of the shape, and
-negative codes those of the drive."""
+force, and due to three forces that depend on the position. Codes from SHAPE on denote parameters of the shape, and
+negative codes denote parameters of the drive."""
 
 
 @compiled(
@@ -833,7 +833,7 @@ def triangles(factors: Floats, columns: Floats, first: Integers, behind: Integer
 def add_products(
     products: Floats, columns: Floats, first: Integers, behind: Integers, unit: Integers, phase: Integers
 ) -> None:
-    """Add the products of columns with all columns and the errors to those of each unit and phase of the motion.
+    """Add the products of columns with all columns and the errors, for each unit and phase of the motion.
 
     Parameters
     ----------

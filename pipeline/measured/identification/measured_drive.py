@@ -166,7 +166,7 @@ def _applied(command: Floats, shape: _Shape) -> Floats:
     if not shape.lag:
         return late[1 : len(command) + 1]
     decay, after = np.exp(-1 / shape.lag), np.exp(-(1 - part) / shape.lag)
-    # the older command acts for the first part of an interval, the newer one for its rest
+    # the older command acts for the first part of an interval, the newer command for its rest
     state = lfilter([1 - after, after - decay], [1, -decay], late - clipped[0]) + clipped[0]
     return np.asarray(state[1 : len(command) + 1])
 

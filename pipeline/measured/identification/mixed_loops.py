@@ -184,10 +184,10 @@ def whiten(columns: Floats, plain: Floats, variances: Floats, root: Floats) -> f
 
 @part
 def regress(columns: Floats, rest: Floats, known: Floats, outputs: Any, work: Floats) -> float:
-    """Compute the maximum-likelihood step for whitened columns with a prior (2, p), and return the log determinant.
+    """Compute the maximum-likelihood step for whitened columns with a prior (2, p).
 
     The results are written to ``outputs``: step (p,), sums of squares (T,) before and after the step, and inverse
-    information (p, p). The determinant is that of the information.
+    information (p, p). The function returns the log determinant of the information.
     """
     step, before, behind, inverse = outputs
     T, p = len(columns), len(step)

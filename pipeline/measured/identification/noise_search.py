@@ -19,8 +19,9 @@ MEMORIES = (1e-12, 3e5)
 the filter is then between a thousand samples and one sample."""
 
 JITTERS = (0.02, 1.5)
-"""Smallest and largest jitter of the delay in the search [samples]. The largest one requires nine ages of the applied
-command. If eight whole delays are equally likely, the age of the applied command has a jitter of 1.5 samples."""
+"""Smallest and largest jitter of the delay in the search [samples]. The largest jitter requires nine ages of the
+applied command. If eight whole delays are equally likely, the age of the applied command has a jitter of 1.5
+samples."""
 
 FIRST_JITTERS, FIRST_FORCES = (0.08, 0.25, 0.6, 1.2), (1.0, 0.1, 1e-2, 1e-4)
 """Initial jitters [samples] of the search, and initial random forces relative to the random force without jitter."""

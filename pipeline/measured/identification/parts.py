@@ -478,7 +478,7 @@ def _is_inside(segments: Segments, device: Device, part: Part) -> bool:
 
 
 def _predicts(logs: Logs, segments: Segments, name: str, fits: tuple[Fit, Fit]) -> bool:
-    """Return whether the second fit, which has one more part, predicts more of the motion than the first one.
+    """Return whether the second fit, which has one more part, predicts more of the motion than the first fit.
 
     One of two conditions must be met: the fit leaves less random force (`_takes_away`), or its free runs of logs left
     out have at most `LEFT` of the variance of the error. The second condition is for a ripple of the force at each

@@ -122,7 +122,7 @@ def motion_of(recording: Recording) -> Motion:
         if error * 30 <= np.abs(velocity).max(initial=0.0):
             break
         half = max(half + 1, int(half * 1.5))
-    # near both ends, half of the rows are reflections of the others: the error is larger, and 3 is a safe factor
+    # near both ends, half of the rows are reflections of other rows: the error is larger, and 3 is a safe factor
     near = np.minimum(np.arange(rows), np.arange(rows)[::-1]) < half
     seen = np.abs(velocity) > SURE * error * np.where(near, 3.0, 1.0)
     return Motion(velocity, float(error), half, np.where(seen, np.sign(velocity), 0).astype(np.int64))

@@ -146,7 +146,7 @@ def climbed(segments: Segments, device: Device, steps: int = STEPS) -> Fit:
 def ended(segments: Segments, device: Device) -> Fit:
     """Return the final maximum-likelihood fit near a device, with the uncertainty due to its jitter."""
     fit = _climbed(fitted(segments, device, _scattered(segments, device), phased=True), segments, LAST_STEPS)
-    # a number at its limit, such as a delay of 0, shifts the others: the optimum without limits is a different one
+    # a number at its limit, such as a delay of 0, shifts the other numbers: the optimum without limits is different
     inside = _inner_step(fit, FREE_LIMITS if segments.free else LIMITS)
     beyond = [fit.solved.step] if (inside != fit.solved.step).any() else []
     optima = np.stack([np.zeros(len(fit.device.names)), *beyond])

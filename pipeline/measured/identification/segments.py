@@ -37,7 +37,7 @@ is below 0.01 for real-time controllers and up to 0.3 for polling loops."""
 
 @dataclass(frozen=True, eq=False)
 class _Cut:
-    """Part of a recording, given by its first row, the row after its last one, and the row of a command edge at its
+    """Part of a recording, given by its first row, the row after its last row, and the row of a command edge at its
     start."""
 
     trial: int
@@ -327,8 +327,8 @@ def _edge(each: Recording, seen: Motion, first: int, moves: int, lead: int) -> i
 def _distinct(position: Floats, rounding: float) -> int:
     """Return the number of readings that contain new information.
 
-    A reading that equals the previous one contains no new information. With visible sensor steps, the same is true of a
-    reading that changes by as many steps as the previous one, because its rounding error is the same.
+    A reading that equals the previous reading contains no new information. With visible sensor steps, the same is true
+    of a reading that changes by as many steps as the previous reading, because its rounding error is equal.
     """
     changes = np.diff(position)
     bends = np.abs(np.diff(changes)) > 0.1 * np.sqrt(12.0) * rounding if rounding > 0 else np.ones(len(changes))

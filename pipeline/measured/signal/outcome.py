@@ -1,4 +1,4 @@
-"""Determine the outcome of a trial with its evidence, from the log alone.
+"""Determine the outcome of a trial with its evidence, only from the log.
 
 `verdict` states whether the loop is stable. The outcome states what the log shows, and whether the log is a response of
 the loop. A clipped command, a stop, a push or a missing step is not an effect of stiffness and damping.

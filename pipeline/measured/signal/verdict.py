@@ -313,7 +313,7 @@ def _bent(trial: Trial, start: int, count: int, size: float) -> bool:
     """Return whether, late in the motion, the command stays at a limit or at the step.
 
     This is the case if the command has the same extreme value in at least two rows of the last quarter in which the
-    wall law requires another value. Then, the command is clipped or the wall is inactive.
+    wall law requires a different value. Then, the command is clipped or the wall is inactive.
     """
     command, late = trial.command[start:], math.ceil(0.75 * count)
     off = command[late:][np.abs((external_force(trial) - trial.step)[start + late :]) > BENT * size]

@@ -86,7 +86,8 @@ class MeasuredTrial:
 
     @cached_property
     def unsafe(self) -> str:
-        """Reason why the trial contains no information on its wall: a fault, or a command that follows another wall.
+        """Reason why the trial contains no information on its wall: a fault, or a command that follows a different
+        wall.
 
         The text is empty if there is no such reason.
         """

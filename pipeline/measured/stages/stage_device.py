@@ -167,7 +167,7 @@ def identification(of: Experiment) -> tuple[Identification | None, str]:
     remedy = result.recorded.remedy()
     if "mass" not in result.unidentifiable:
         return result, remedy
-    # if most logs follow a wall other than the stated one, this is the reason, whatever faults the other logs have
+    # if most logs follow a wall other than the stated wall, this is the reason, whatever faults the other logs have
     why = INSEPARABLE.format(remedy) if len(found) > MOST * of.trials.num_rows else OTHER_WALLS
     return None, why
 

@@ -39,7 +39,7 @@ from pipeline.records.stage_records import (
 def response(of: MeasuredTrial, _: None) -> ResponseRow:
     """Return edge, final position, resolution and verdict of a trial."""
     judged, shown = judge(of.trial, of.response), of.response
-    # the verdict of an unsafe log would apply to another wall, or to a faulty recording
+    # the verdict of an unsafe log would apply to a different wall, or to a faulty recording
     return ResponseRow(
         verdict="undecided" if of.unsafe else judged.verdict,
         reason=joined(of.unsafe, judged.reason, shown.reason),

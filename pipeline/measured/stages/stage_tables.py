@@ -407,7 +407,7 @@ class ExperimentStages:
         cost."""
         cost, _ = self.cost(criterion)
         trials, floor = self.texts("response", "trial_id"), self.floor(criterion)
-        # a trial whose command follows a wall other than the stated one did not test the stated wall
+        # a trial whose command follows a different wall did not test the stated wall
         stated = np.flatnonzero(np.isnan(self.column("wall_law", "obeyed_stiffness")))
         K, B = (self.column("response", name)[stated] for name in ("stiffness", "damping"))
         unstable, cost = self.verdicts.verdict[stated] == "unstable", cost[stated]

@@ -23,7 +23,8 @@ MEASURES: Mapping[str, Measure] = {
 
 
 def other_cost(criterion: Criterion) -> TrialStage[CostInputs, CostRow]:
-    """Return the stage for a cost that has no stored column, such as one with another settling band or exponent."""
+    """Return the stage for a cost that has no stored column, such as a cost with a different settling band or
+    exponent."""
     energies = criterion.family is ENERGY
     measure = partial(other_energy if energies else other_settling, criterion=criterion)
     inputs = stage_rows.energy_inputs if energies else stage_rows.timed_inputs

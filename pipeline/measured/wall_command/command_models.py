@@ -47,7 +47,7 @@ SCALE_TOLERANCE = 0.2
 class Departure:
     """Departure of a log from the wall law.
 
-    ``obeyed`` contains K, B and step of the wall that the command obeys instead of the stated one, if any.
+    ``obeyed`` contains K, B and step of the wall that the command obeys instead of the stated wall, if any.
     """
 
     code: str

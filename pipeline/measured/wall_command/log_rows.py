@@ -312,11 +312,11 @@ PLATEAU = 2
 attributed to chance."""
 
 STILL_FLOORS = 3.0
-"""Smallest change of position on both sides of a row, in sensor floors, for which the device moves in this row."""
+"""Smallest change of position on both sides of a row, in sensor floors, at which the device counts as moving there."""
 
 STILL_DIGITS = 60.0
-"""Smallest change of position, in half units of the last digit, for which the device moves in this row. A smaller
-quantum is not detected."""
+"""Smallest change of position, in half units of the last digit, at which the device counts as moving in a row. A
+smaller quantum is not detected."""
 
 GRID = 0.05
 """Largest deviation of a reading from its grid, in quanta."""

@@ -20,7 +20,7 @@ ODD = 0.5
 """Smallest deviation of a stamp distance from a period, in periods, for which missing rows are considered."""
 
 UNEVEN = 0.1
-"""Smallest deviation of a stamp distance from whole periods, in periods, for which the stamps scatter."""
+"""Smallest deviation of a stamp distance from whole periods, in periods, at which the stamps count as scattered."""
 
 WINDOW = 7
 """Number of rows in a window. Up to half of them may have a wrong stamp. Fewer rows do not show the usual distance."""

@@ -1,4 +1,4 @@
-"""Compare a logged command with the wall law, and find the cause of a departure, from the log alone.
+"""Compare a logged command with the wall law, and find the cause of a departure, only from the log.
 
 The law is u_k = F_k - K (x_k - x_0) - B (x_k - x_{k-1})/T, with F_k = 0 before the edge and F_k = F_0 from the edge on.
 If the controller applies this law, the residual u + K (x - x_0) + B dx/T - F contains only rounding errors. Otherwise,
@@ -66,7 +66,7 @@ class WallLaw:
 
     @property
     def other_wall(self) -> Departure | None:
-        """Departure with the wall or step that the command obeys instead of the stated one, or None if there is none.
+        """Departure with the wall or step that the command obeys instead of the stated wall or step, or None.
 
         Such a log contains no information on the stated wall.
         """

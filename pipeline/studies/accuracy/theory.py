@@ -135,7 +135,7 @@ ENERGY: dict[str, _Method] = {
 
 
 def theory_tables() -> Iterator[Table]:
-    """Yield the tables of the ideal loop, then those of loops with parts."""
+    """Yield the tables of the ideal loop, then the tables of loops with parts."""
     known = reference()["points"]
     case, loop = case_of(reference()["loop"]), normalised_loop(reference()["loop"])
     points = {name: np.array([row[name] for row in known["rows"]]) for name in known["rows"][0]}
@@ -164,7 +164,7 @@ def _one(quantity: str, run: Callable[..., Any], *first: Any) -> Callable[..., V
 
 
 def _edge(case: Case, loop: NormalisedLoop) -> Table:
-    """Return the table of the boundary, which is the largest alpha for given beta."""
+    """Return the table of the boundary: the largest stable alpha for each beta."""
     edge = reference()["boundary"]
     beta, high = np.array(edge["beta"]), 1.1 * edge["alpha_max"]
 
