@@ -71,7 +71,8 @@ class Coefficients(Part):
 
 
 class Kalman(Part):
-    """Steady-state Kalman filter of positions, with white sensor noise and a white acceleration, constant in a sample.
+    """Steady-state Kalman filter of positions, with white sensor noise and a white acceleration that is constant in a
+    sample.
 
     ``acceleration`` [m/s^2, rad/s^2] and ``noise`` [m, rad] are standard deviations. A sensor resolution q counts as
     noise of standard deviation q/sqrt(12). Only T^2 times their ratio, the tracking index, matters.

@@ -1,7 +1,7 @@
 """Search for the goal `optimum`, which selects walls to try until the best cost by a criterion is found.
 
-The device identified from all logs predicts the cost of each wall. The deviation of measured costs is modelled as a
-random function of (K, B). The best wall always has a measured cost.
+The device identified from all logs predicts the cost of each wall. The deviation of the measured from the predicted
+costs is modelled as a random function of (K, B). The best wall always has a measured cost.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ large as the second number.
 """
 
 FINALISTS, NEIGHBOUR_OFFSETS = 150, ((-0.004, 0.0), (0.004, 0.0), (0.0, -0.004), (0.0, 0.004))
-"""Number of most promising walls, and offsets of their neighbours that are checked.
+"""Number of the most promising walls whose neighbours are checked, and offsets of these neighbours.
 
 The identified device and the gains that the rig sets may be wrong by these offsets.
 """
@@ -88,7 +88,7 @@ class CostTarget:
     ----------
     criterion : str
     dampings, highest : float64, shape (n,)
-        Increasing dampings B, and the estimated largest stable stiffness at each.
+        Dampings B in increasing order, and the estimated largest stable stiffness at each.
     by : Loop or None
         Loop that predicts the costs.
     holds : bool

@@ -242,8 +242,8 @@ class PlanGoal:
     few : bool
         Whether the logs are so few that all possibly unstable walls are avoided.
     foresees : bool
-        Whether predictions of the device for walls stiffer than all stable walls are trusted. They are not if there are
-        few logs, or if no log has a verdict that could contradict the device.
+        Whether predictions of the device for walls stiffer than all stable walls are trusted. They are not trusted if
+        there are few logs, or if no log has a verdict that could contradict the device.
     """
 
     dampings: tuple[float, ...]

@@ -343,7 +343,9 @@ def _answered(campaign: Campaign, rig: RigRange | None) -> list[str]:
     if steps and rig.several:
         least = f"multiples of {steps[0]:g} {K}"
         remarks.append(
-            f"the rig sets {least}" + (", or of a larger step" if len(steps) > 1 else "") + "; so are the next walls"
+            f"the rig sets {least}"
+            + (", or of a larger step" if len(steps) > 1 else "")
+            + "; the next walls are such multiples"
         )
     if rig.factor != 1:
         remarks.append(f"the rig sets {rig.factor:g} times the requested K; next walls are divided by this factor")

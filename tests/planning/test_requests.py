@@ -97,7 +97,7 @@ def test_a_rig_that_rounds_is_not_asked_for_one_wall_three_times(tmp_path, name,
 def test_the_answer_of_a_rig_is_named_with_the_step_that_follows(tmp_path):
     *_, said = campaign(RIGS["K to 250"], PlanOptions(dampings=NAMED), tmp_path)
     assert any(remark.startswith("requested K = 5510 N/m, B = 60 Ns/m, the rig set K = 5500 N/m (") for remark in said)
-    assert "the rig sets multiples of 250 N/m; so are the next walls" in said
+    assert "the rig sets multiples of 250 N/m; the next walls are such multiples" in said
     *_, said = campaign(RIGS["2 K"], PlanOptions(dampings=NAMED), tmp_path)
     assert "the rig sets 2 times the requested K; next walls are divided by this factor" in said
     *_, said = campaign(RIGS["K at most 5000"], PlanOptions(dampings=NAMED), tmp_path)

@@ -254,7 +254,8 @@ def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
     sure = np.maximum(clear, SIGMAS * TYPICAL_BEND * np.nan_to_num(_medians(bends))[:, None])
     peak = np.zeros(g.shape, dtype=np.bool_)
     # At a peak, the negative rate has risen twice. Its magnitude then at least doubles, and it falls below the rate
-    # before the peak. After a single outlier, the other rates continue to rise. Comparisons with NaN are false.
+    # before the peak. A single outlier is not a peak, because the rate after it is above the rate before it.
+    # Comparisons with NaN are false.
     peak[:, 2:-1] = (here < 0) & (change[:, :-2] > 0) & (change[:, 1:-1] > sure)
     peak[:, 2:-1] &= (-change[:, 2:] > np.maximum(sure, np.abs(here))) & (g[:, 3:] < g[:, 1:-2])
     peak[:, 2:-1] &= _went_unseen(c, K, g)

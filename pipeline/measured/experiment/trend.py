@@ -96,8 +96,8 @@ def find_trends(
         if np.abs(now - pull).max() < _SETTLED:
             break
         pull = now
-    # HC3: residuals are enlarged by their leverage. The pull of a trial with limited influence does not depend on the
-    # slope.
+    # HC3: residuals are enlarged by their leverage. Trials with limited influence have none, because their contribution
+    # to the score does not depend on the slope.
     answers = np.where(pull == 1, w, 0.0)
     normal = (x * answers) @ x.T
     if np.linalg.matrix_rank(normal, hermitian=True) < len(x):

@@ -84,8 +84,8 @@ def fit_parts(recordings: list[Recording], chosen: ChosenParts) -> Choice:
 def _largest_bound(name: str, units: LogUnits) -> float:
     """Return the largest meaningful upper end of friction or of a spring [SI].
 
-    Friction larger than the largest command would fix the device. A spring stiffer than twice the largest command over
-    the largest displacement would not have allowed this displacement.
+    Friction larger than the largest command would keep the device at rest. A spring stiffer than twice the largest
+    command over the largest displacement would not have allowed this displacement.
     """
     return {"friction.coulomb": units.command, "stiffness": 2 * units.command / units.position}[name]
 

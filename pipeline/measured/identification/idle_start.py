@@ -21,8 +21,8 @@ from pipeline.measured.identification.replay import follows
 from pipeline.measured.identification.segments import segments_of
 
 FEWEST_IDLE = 60
-"""Smallest number of rows between the first command and the first motion. It exceeds the longest delay that is searched
-for, 48 rows."""
+"""Smallest number of rows between the first command and the first motion. It exceeds the longest delay in the search,
+48 rows."""
 
 LONGEST_DELAY = 48
 """Number of rows before the first motion whose commands may cause it."""

@@ -173,7 +173,8 @@ class Errors:
         return Interval(value, value - reach, value + reach, error)
 
     def covariance(self, names: Sequence[str], units: LogUnits) -> Floats:
-        """Return the covariance (Q, Q) of parameters, scaled so that normal 95 % intervals equal their intervals."""
+        """Return the covariance (Q, Q) of parameters, scaled so that its normal 95 % intervals equal the intervals of
+        the parameters."""
         slopes = np.stack([self._slope(ESTIMATED[name].quantity(units)) for name in names])
         known = slopes @ self.covariance_of_numbers @ slopes.T
         size = np.sqrt(np.maximum(np.diagonal(known), 1e-300))

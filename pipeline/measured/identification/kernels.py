@@ -15,8 +15,8 @@ These arrays have the same meaning in all functions:
 time, command, position : float64, shape (R,)
     Rows of all trials.
 first, behind : int64, shape (S,)
-    Rows of segment s are ``first[s]`` to ``behind[s]``. ``begin`` is the first row of its trial. Friction fixes the
-    device before the row ``edge``, and forces act on it from this row on; `ALWAYS` if they act in all rows.
+    Rows of segment s are ``first[s]`` to ``behind[s]``. ``begin`` is the first row of its trial. Friction keeps the
+    device at rest before the row ``edge``, and forces act on it from this row on; `ALWAYS` if they act in all rows.
 kind : int64, shape (1,) or (R,)
     Index of the transition among F (m, n, n) for the interval after a row. There is one value if all intervals are
     equal.

@@ -23,7 +23,7 @@ from pipeline.measured.student import student_95
 from pipeline.records.trials import Floats
 
 LONGEST_DELAY = 48
-"""Longest delay [samples] that is searched for."""
+"""Longest delay [samples] in the search."""
 
 LAGS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Lags [samples] from which the search starts."""

@@ -42,7 +42,7 @@ MOST_TRIALS = 100
 """Largest number of trials that are used to choose parts. All trials are used for the final fit."""
 
 LONGEST_DELAY = 48
-"""Longest delay [samples] that is searched for."""
+"""Longest delay [samples] in the search."""
 
 
 BESIDE = 1.92
@@ -223,7 +223,7 @@ def _search(some: list[Recording], units: LogUnits, without: Sequence[str]) -> t
     state = _without_imitations((some, units, lead), _swinging((some, units, lead), state))
     state = _from_applied_command(state)
     device, segments = state.fit.device, state.segments
-    # a part that was accepted and is absent from the result imitated a later one
+    # a part that was accepted but is absent from the result imitated a part that was found later
     tried = {
         name: replace(test, decision="imitated") if test.decision == "accepted" and name not in state.parts else test
         for name, test in state.tried.items()
@@ -481,9 +481,9 @@ def _predicts(logs: Logs, segments: Segments, name: str, fits: tuple[Fit, Fit]) 
     """Return whether the second fit, which has one more part, predicts more of the motion than the first fit.
 
     One of two conditions must be met: the fit leaves less random force (`_takes_away`), or its free runs of logs left
-    out have at most `LEFT` of the variance of the error. The second condition is for a ripple of the force at each
-    turn, a random force that no part removes. A mode must not make the free runs worse. For logs of walls and for a
-    single log, only the random force is judged.
+    out have at most `LEFT` of the variance of the error. The second condition is for devices with a ripple of the force
+    at each turn, which acts as a random force that no part removes. A mode must not make the free runs worse. For logs
+    of walls and for a single log, only the random force is judged.
     """
     recordings, units, lead = logs
     taken = _takes_away(*fits)

@@ -19,8 +19,9 @@ BLOCKS = 16
 """Number of blocks of windows for a jackknife."""
 
 KNOWN = (0.1, 0.05)
-"""Two largest changes of the command between rows in the windows used, relative to the range of the command. Since the
-command between rows is unknown, the difference between their results is the error of the trapezoidal rule."""
+"""Two limits for the change of the command between rows of a window, relative to the range of the command. The
+difference between the results for both limits is the error of the trapezoidal rule, because the command between rows is
+unknown."""
 
 EXPLAINS = 0.97
 """Smallest share of the sum of squares of the displacements that the command explains. It explains less if an inertia

@@ -129,7 +129,8 @@ def motion_of(recording: Recording) -> Motion:
 
 
 def median(values: Floats) -> float:
-    """Return the median of a vector that is not empty. For short vectors, it takes a fifth of the time of numpy.
+    """Return the median of a vector that is not empty. For short vectors, it takes a fifth of the time of
+    `numpy.median`.
 
     >>> median(np.array([3.0, 1.0, 2.0])), median(np.array([4.0, 1.0]))
     (2.0, 2.5)

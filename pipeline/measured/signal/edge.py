@@ -31,8 +31,9 @@ causes a plateau of N rows. If N is this large, the plateau is too low for a ste
 
 JUMP = 0.1
 """Smallest change that counts as a step or a motion, relative to the step of the log. Quanta that are amplified by B
-cause smaller jumps. Two steps whose difference is smaller are treated as equal. A command in a wrong unit, or another
-signal, exceeds this change only while command plus wall force deviates from its level by more than `LEVEL`."""
+cause smaller jumps. Two steps whose difference is smaller are treated as equal. If the command has a wrong unit or is
+another signal, it exceeds this value only while command plus wall force deviates from its level by more than
+`LEVEL`."""
 
 UNDAMPED_JUMP = 0.04
 """Smallest relative jump between two levels if B = 0, so that quanta are not amplified."""

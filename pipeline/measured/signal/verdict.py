@@ -39,8 +39,8 @@ FADES = 0.9
 5 %."""
 
 BLOCKS = 8
-"""Number of parts of the motion whose sizes show a growth rate. For a wall that changes within its log, a part is half
-a period."""
+"""Number of parts of the motion whose sizes show a growth rate. If the log contains four periods, a part is half a
+period."""
 
 NOT_TOLD = "the growth rate is unknown, because the motion has decayed"
 """Reason for a stable trial without a growth rate."""
@@ -233,9 +233,9 @@ def _growth(views: Views) -> tuple[float, float, bool]:
 
     For n samples, white noise s and a mode of amplitude A in the middle of the motion, the standard error is at least
     sqrt(6) s/(A n^1.5). A residual that is neither modes nor sensor noise (jitter, friction) is not independent and
-    does not average out. It may change the amplitude over the log by twice its size. The difference between two views,
-    with windows of different widths, is a further error. The rate closer to zero is used, and the error is infinite if
-    one view grows and the other decays.
+    does not average out. Its share of the error corresponds to a change of the amplitude over the log by twice this
+    residual. The difference between two views, with windows of different widths, is a further error. The rate closer to
+    zero is used, and the error is infinite if one view grows and the other decays.
     """
     # error of the rate over a log due to rounding of positions
     samples, noise = len(views[0].signal), views[0].noise

@@ -76,7 +76,7 @@ def recordings_of(of: Experiment) -> list[Recording] | str:
     ]
     if not found:
         fault = next((each for some in findings for each in some if each.leaves_out), None)
-        return fault.sentence if fault is not None else "the command of no log matches its wall and time"
+        return fault.sentence if fault is not None else "no log has a command that matches its wall and time"
     # logs that are too short to show motion are left out, unless all logs are too short
     found = [one for one in found if len(one.time) >= SHORTEST] or found
     try:

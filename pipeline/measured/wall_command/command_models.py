@@ -123,7 +123,7 @@ def _rate_limited(log: LogRows) -> Departures | None:
     at = np.abs(np.abs(change) - limit) <= of_change + ROUNDING * limit
     if limit >= abs(log.step) * (1 - ROUNDING) or at.sum() < FEWEST_AT_LIMIT:
         return None
-    # half of a slowly rising step is late, so the first row at the limit is the edge
+    # a slowly rising step reaches half its size late, so the first row at the limit is used as the edge
     log = replace(log, edge=int(np.argmax(at & (change * log.step > 0))))
     demand = log.step * log.after - log.wall - before
     if (np.abs(change - np.clip(demand, -limit, limit)) > log.rounding + of_change)[log.kept].any():

@@ -47,8 +47,8 @@ class Stamps:
     odd : int
         Number of distances that deviate by more than half a period although no row is missing.
     scatters : bool
-        Whether the stamps deviate independently. If control is uneven, the next distance does not compensate a distance
-        that is too long.
+        Whether the stamps deviate independently, so that the next distance compensates a distance that is too long. If
+        control is uneven, deviations accumulate instead.
     """
 
     skipped: Integers

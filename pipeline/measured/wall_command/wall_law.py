@@ -156,7 +156,7 @@ def account(log: LogRows) -> Account:
     """Explain a log by a law with all rows as logged, without repeated rows, or with lost rows."""
     stamps = read_stamps(log.time, log.period)
     log = log.without(np.append(0, stamps.skipped) > 0)
-    if stamps.period != log.period and explanation(log) != ():  # otherwise the header is correct
+    if stamps.period != log.period and explanation(log) != ():  # without departures, the stated period is correct
         log = replace(log, period=stamps.period)
     still, repeated = repeated_rows(log)
     departures = explanation(log)
