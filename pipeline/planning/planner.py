@@ -402,7 +402,7 @@ def _next(
             weak = "verdict is"
             if len(bracket.again) > 1:
                 weak = f"verdicts at {listed([f'{value:g}' for value in bracket.again])} {K} are"
-            why = f"repeat this wall, because the {weak} hardly distinguishable from noise"
+            why = f"repeat this wall: the {weak} hardly distinguishable from noise"
         elif bracket.even:
             even = ", ".join(f"{value:g}" for value in bracket.even)
             why = f"logs contradict each other at {at}: equal numbers of stable and unstable trials at {even} {K}; "
