@@ -59,6 +59,9 @@ if TYPE_CHECKING:
 DRIFT = "free runs drift because no wall corrects them; `pipeline compare` replays the logs with their walls"
 """Remark in a document whose free runs come from logs of walls, because a drift spoils their fit."""
 
+TOO_SHORT = f"A log needs {SHORTEST} rows that can be used."
+"""Reason why a log is not used if it has no other fault."""
+
 SHIFTED = (
     "in each log, the command is shifted by rows relative to the position, or the sampling period is wrong, so that "
     "neither delay nor limits can be estimated. `pipeline compare` lists the finding for each log. Record them again"
@@ -267,9 +270,8 @@ def _identified(read_logs: _Read, wall: WallSampling) -> IdentifiedDevice:
     faulty = {name: each.sentence for name, log in read for each in log.findings if each.leaves_out}
     trials = [measured_trial(name, log) for name, log in read if name not in faulty]
     recordings = usable_recordings(trials)
-    used = {each.name for each in recordings}
-    short = dict.fromkeys((name for name, _ in read if name not in used), f"A log needs {SHORTEST} rows that can be used.")
-    unused = short | faulty | unusable_trials(trials)
+    unused = dict.fromkeys(dict(read).keys() - {each.name for each in recordings}, TOO_SHORT)
+    unused |= faulty | unusable_trials(trials)
     if motions == {"rotation"} and not any(any(each.wall) for each in recordings):
         # gravity acts on an arm in free motion; behind a wall, it hardly moves
         recordings = [replace(each, turns=True) for each in recordings]
