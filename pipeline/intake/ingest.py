@@ -412,11 +412,21 @@ class _Run:
             assert read.sha256 is not None, "a source that was read has a hash"
             self._accept(source, read.sha256, read.result)
         except LogError as error:
+            if (other := self._other_reader(source, read.sha256)) and error.code != "profile-wrong":
+                self._skip(source, f"stored by profile {other!r}; the given profile does not read it")
+                return None
             record, former = record_of(source, read.sha256, error), self.refused.get(source.key)
             self._report_refused(source, record)
             if record != former and not record.is_less_specific(former):
                 return source, record
         return None
+
+    def _other_reader(self, source: Source, sha256: str | None) -> str | None:
+        """Return the name of another profile that has read the same content completely, or None."""
+        stored, profile = self.stored.get(source.key), source.profile
+        if stored is None or profile is None or self.replace or not stored.whole or stored.sha256 != sha256:
+            return None
+        return stored.profile if stored.profile != profile.name else None
 
     def _accept(self, source: Source, sha256: str, logs: tuple[Log, ...] | None) -> None:
         """Store a log. `logs` is None for a known log that was not parsed. Such a log is skipped.

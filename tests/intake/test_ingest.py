@@ -11,6 +11,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 from native_logs import FAULTS, GOOD, HEADER_LINES, ROWS, log_text
+from wall_logs import named_logs, profile_text
 
 from pipeline.base.errors import ProfileError, UsageError
 from pipeline.intake import ingest as ingest_module
@@ -357,3 +358,21 @@ def test_measured_force_logged_velocity_and_declared_step_are_kept(tmp_path, run
     assert sorted(everything.step_row.tolist()) == [-1, 0, 1]
     native = read_trials(processed).filter(pc.field("device") != "pair")
     assert load_trials(processed, native).force is None
+
+
+def test_logs_that_another_profile_has_stored_are_skipped_by_one_that_cannot_read_them(tmp_path, run, processed):
+    """Half of a folder has one layout, half the other, and each profile claims all of its files."""
+    logs = tmp_path / "half"
+    logs.mkdir()
+    for number, (name, content) in enumerate(named_logs(4)):
+        (logs / name).write_bytes(content.replace(b";", b"|") if number % 2 else content)
+    first, second = tmp_path / "first.toml", tmp_path / "second.toml"
+    first.write_text(profile_text())
+    other = profile_text().replace('name = "lab"', 'name = "other"')
+    second.write_text(other.replace('delimiter = ";"', 'delimiter = "|"'))
+    assert counts(run(logs, profile=first)) == (4, 2, 0, 2)
+    assert counts(run(logs, profile=second)) == (4, 2, 2, 0)
+    assert counts(run(logs, profile=first)) == (4, 0, 4, 0)
+    assert len(read_trials(processed)) == 4
+    first.write_text(profile_text().replace('name = "t"', 'name = "time"'))
+    assert counts(run(logs, profile=first)) == (4, 0, 2, 2)
