@@ -58,6 +58,7 @@ docs: .venv/.dev
 	$(BIN)/python docs/make_identification.py
 	$(BIN)/python docs/make_gallery.py
 	$(BIN)/python docs/make_tutorial.py
+	$(BIN)/python docs/make_notebook.py
 	$(BIN)/python docs/make_screens.py
 	$(BIN)/python docs/made_from.py
 
