@@ -64,15 +64,15 @@ class Piece:
 @lru_cache(maxsize=64)
 def pieces(loop: NormalisedLoop) -> tuple[Piece, ...]:
     """Return the pieces of a sampling interval in order."""
-    result, offset = [], 0.0
+    result, offset, rates = [], 0.0, np.linalg.eigvals(loop.device.matrix)
     for segment in loop.segments:
-        edges = _edges(loop, segment.duration)
-        known: dict[float, tuple[Digits, Digits, Floats]] = {}
+        edges = _edges(rates, segment.duration)
+        known: dict[float, tuple[Floats, Floats, Floats]] = {}
         for start, duration in zip(edges[:-1], np.diff(edges), strict=True):
             if duration not in known:
-                known[duration] = _motion(loop, float(duration))
-            transition, gain, place = known[duration]
-            result.append(Piece(segment.age, offset + start, duration, as_floats(transition), as_floats(gain), place))
+                turns = np.abs(rates).max() * duration > 1
+                known[duration] = (_by_points if turns else _by_series)(loop, float(duration))
+            result.append(Piece(segment.age, offset + start, duration, *known[duration]))
         offset += segment.duration
     return tuple(result)
 
@@ -136,8 +136,7 @@ def starts(loop: NormalisedLoop) -> tuple[Floats, ...]:
     return tuple(result)
 
 
-def _edges(loop: NormalisedLoop, duration: float) -> Floats:
-    rates = np.linalg.eigvals(loop.device.matrix)
+def _edges(rates: Floats, duration: float) -> Floats:
     turning = float(np.abs(rates[np.abs(rates.imag) > np.abs(rates.real)]).max(initial=0.0))
     settling = float(np.abs(rates[np.abs(rates.imag) <= np.abs(rates.real)]).max(initial=0.0))
     halvings = max(0, int(np.ceil(np.log2(settling * duration)))) if settling > 0 else 0
@@ -149,7 +148,31 @@ def _edges(loop: NormalisedLoop, duration: float) -> Floats:
     return np.append(np.concatenate(fine), duration)
 
 
-def _motion(loop: NormalisedLoop, duration: float) -> tuple[Digits, Digits, Floats]:
+def _by_series(loop: NormalisedLoop, duration: float) -> tuple[Floats, Floats, Floats]:
+    """Return the transition, the gain, and the coefficients of the polynomial through exact points, from power series.
+
+    No digits cancel in a piece of at most one radian. The first power that is left out is below 1/24!.
+    """
+    device, n = loop.device, loop.device.states
+    rates, term = np.zeros((n + 1, n + 1)), np.eye(n + 1)
+    rates[:n, :n], rates[:n, n] = device.matrix * duration, device.command * duration
+    terms = [term]
+    for power in range(1, 2 * DEGREE):
+        term = term @ rates / power
+        terms.append(term)
+    whole, places = np.sum(terms[::-1], axis=0)[:n], device.sensor @ np.array(terms)[:, :n]
+    return whole[:, :n], whole[:, n], places[: DEGREE + 1] + _higher_powers(loop.digits) @ places[DEGREE + 1 :]
+
+
+@lru_cache(maxsize=4)
+def _higher_powers(digits: int) -> Floats:
+    """Return the coefficients of the polynomials through x^13 to x^23 at equidistant points, shape (13, 11)."""
+    with many_digits(digits):
+        points = as_exact(range(DEGREE + 1)) / DEGREE
+        return as_floats(_through(points[:, None] ** np.arange(DEGREE + 1, 2 * DEGREE)))
+
+
+def _by_points(loop: NormalisedLoop, duration: float) -> tuple[Floats, Floats, Floats]:
     """Return the transition, the gain, and the coefficients of the polynomial through exact points."""
     with many_digits(loop.digits):
         transition, gain = moved(loop.plant, duration / DEGREE, loop.digits)
@@ -159,7 +182,7 @@ def _motion(loop: NormalisedLoop, duration: float) -> tuple[Digits, Digits, Floa
         for _ in range(DEGREE):
             whole, push = transition @ whole, transition @ push + gain
             rows.append(np.append(sensor @ whole, sensor @ push))
-        return whole, push, as_floats(_through(np.array(rows, dtype=object)))
+        return as_floats(whole), as_floats(push), as_floats(_through(np.array(rows, dtype=object)))
 
 
 def _through(values: Digits) -> Digits:
