@@ -15,9 +15,12 @@ poles bound the remaining motion, in three steps.
 
 Deviations are relative to the final displacement, and times are in samples. A response that needs more samples than the
 limit ends with a status instead of a number. ``interval`` is the motion over a sampling interval
-(`motion.interval_motion`). ``first`` contains the first three own states, which a march keeps in registers: sensed
-position, velocity and last sample. ``state`` has a row for each mode, at sample 0: its own states, and the wall forces
-of the last samples, newest first. ``view`` is computed by `outlook`.
+(`motion.interval_motion`). ``walls`` contains alpha and beta of the walls, and what all walls of a loop share: the rows
+of sensed position and filtered velocity, the largest effects of own states on the position (constant, for each sample
+of the lever, and for each sample of a short lever), gamma with the shortest lever and the longest short lever
+[samples], and the own states at sample 0. ``first`` contains the first three own states, which a march keeps in
+registers: sensed position, velocity and last sample. ``state`` has a row for each mode, at sample 0: its own states,
+and the wall forces of the last samples, newest first. ``view`` is computed by `outlook`.
 """
 
 from __future__ import annotations
@@ -25,9 +28,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pipeline.base.compiled import compiled, inlined, part
 from pipeline.records.trials import Floats
 
+Complexes = NDArray[np.complex128]
 Arrays = tuple[Any, ...]
 """Arrays of a loop, a wall or a result, in the order of the signatures below."""
 
@@ -36,12 +43,12 @@ Forces = tuple[float, float]
 """The older and the newer force that act in an interval."""
 
 INTERVAL = "Tuple((f8[:,::1],f8[:,::1],f8[:,:,::1],f8[:,::1]))"
-WALLS = "Tuple((f8[::1],f8[::1],f8[:,::1],f8[:,::1],f8[::1],c16[::1]))"
-BODY = "UniTuple(f8[::1],4)"
-MODAL = "Tuple((f8[::1],f8[:,:,::1],f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1]))"
+WALLS = "Tuple((f8[::1],f8[::1],f8[:,::1],f8[:,::1],UniTuple(f8,3),f8[::1]))"
+MODAL = "Tuple((f8[::1],f8[:,::1],f8[:,:,::1],f8[:,::1],f8[:,::1],f8[:,::1]))"
 RULE = "Tuple((f8[::1],b1,b1,i8,f8,f8,f8))"
-MODES = "Tuple((f8[::1],f8[::1],c16[::1],c16[::1],c16[:,::1],f8[:,::1]))"
-WORK = f"UniTuple(f8[::1],6),Tuple((f8[::1],f8[:,::1],f8[::1],f8[::1])),{MODES}"
+
+LAW, LEVERS, OWN, LINE, MOVED, CURVE, BEGUN, BEGUN_LINE, SETTLED, PEAK, CALM, START, FORCES, ENTRY = range(14)
+"""Rows of the work array of a march. The rows from `ENTRY` on are for the entries into the bands, then for the view."""
 
 MOVING, STILL, LATE = 0, 1, 2
 """Ends of a march. It ends at its last sample, at rest, or at the cutoff outside all bands."""
@@ -139,18 +146,34 @@ def begun_again(z: Floats, moved: Floats, first: Three) -> Three:
 
 
 @inlined
-def copy(source: Floats, target: Floats) -> None:
-    """Copy an array."""
-    for i in range(len(source)):
+def copy(source: NDArray[Any], target: NDArray[Any]) -> None:
+    """Copy the first numbers of an array."""
+    for i in range(len(target)):
         target[i] = source[i]
 
 
 @inlined
-def begin(start: Floats, force: float, z: Floats, line: Floats) -> None:
-    """Set the own states and the delayed forces at sample 0."""
+def begin(walls: Arrays, n: int, body: Arrays) -> None:
+    """Set law and levers of a wall, and the own states and the delayed forces at sample 0."""
+    alpha, beta, outputs, effects, (gamma, least, short), start = walls
+    rows, z, line, _, _ = body
+    lever = max(least, 2 * (alpha[n] + gamma) ** -0.5)
+    for i in range(len(z)):
+        rows[LAW, i] = -alpha[n] * outputs[0, i] - beta[n] * outputs[1, i]
+        rows[LEVERS, i] = effects[0, i] + lever * effects[1, i] + min(lever, short) * effects[2, i]
     copy(start, z)
     for i in range(len(line)):
-        line[i] = force
+        line[i] = alpha[n]
+
+
+@inlined
+def body_of(rows: Floats, own: int, delay: int, powers: int) -> Arrays:
+    """Return the part of a work array that a march of a wall needs.
+
+    It contains the work array with law and levers, own states ``z``, delayed forces ``line`` with that of sample k at k
+    modulo the delay, and two work arrays.
+    """
+    return rows, rows[OWN, :own], rows[LINE, :delay], rows[MOVED, :own], rows[CURVE, :powers]
 
 
 @inlined
@@ -213,9 +236,7 @@ def march(
     interval : tuple
         Result of `interval_motion`.
     body : tuple
-        Own states ``z``; delayed forces ``line``, with that of sample k at k modulo the delay; two work arrays; for all
-        walls, the rows of their laws and the levers of own states on the position; the index of this wall; and two
-        arrays in which the first two are saved.
+        Result of `body_of`.
     notes : tuple
         For each band, the last sample outside (``settled``), and the interval, piece and start of the last entry into
         the band (``entry``). ``peak`` is the largest deviation between samples and that of samples. ``calm`` counts the
@@ -232,7 +253,7 @@ def march(
     response is therefore at rest if all motion was small for as long as the memory of the loop.
     """
     step, ends, curves, timing = interval
-    z, line, moved, curve, laws, levers, n, _, _ = body
+    rows, z, line, moved, curve = body
     settled, entry, peak, calm = notes
     bands, swings, between, memory, share, floor, cutoff = requested
     own, first, (k, end, low, high) = len(z), (z[0], z[1], z[2]), span
@@ -242,7 +263,7 @@ def march(
     at = k % len(line) if len(line) else 0
     place, speed, _ = first
     while k < end:
-        forces, at = delayed(line, at, seen_by(laws, n, z, first))
+        forces, at = delayed(line, at, seen_by(rows, LAW, z, first))
         following, largest = advanced(step, z, moved, first, forces), 0.0
         for j in range(len(curves)):
             after, speed_after, _ = following
@@ -279,7 +300,7 @@ def march(
         if largest <= small:
             size = 0.0
             for i in range(own):
-                size += abs(z[i]) * levers[n, i]
+                size += abs(z[i]) * rows[LEVERS, i]
             largest = max(largest, size)
         calm[0] = calm[0] + 1 if largest <= small else 0
         if swings:
@@ -315,13 +336,12 @@ def square(number: complex) -> float:
 
 
 @part
-def roots(modal: Arrays, wall: tuple[float, float], zeta: Floats, forces: Floats) -> bool:
+def roots(determinant: Floats, walls: Floats, wall: tuple[float, float], zeta: Floats, forces: Floats) -> bool:
     """Find zeta = z - 1 of all poles from guesses, in place (Ehrlich and Aberth), and return whether the method
     converged.
 
-    ``forces`` is a work array.
+    ``determinant`` and ``walls`` are those of `modes.polynomials`, and ``forces`` is a work array.
     """
-    determinant, _, _, walls, _, _ = modal
     delay = len(zeta) - len(forces) + 1
     for k in range(len(forces)):
         forces[k] = walls[0, k] * wall[0] + walls[1, k] * wall[1]
@@ -352,19 +372,25 @@ def roots(modal: Arrays, wall: tuple[float, float], zeta: Floats, forces: Floats
     return False
 
 
-@compiled(f"void({MODAL},UniTuple(f8[::1],2),Tuple((c16[::1],c16[:,::1],b1[::1],f8[::1])))")
-def poles_of_walls(modal: Arrays, walls: Arrays, out: Arrays) -> None:
+@compiled("void(Tuple((f8[::1],f8[:,::1])),UniTuple(f8[::1],2),c16[::1],Tuple((c16[:,::1],b1[::1],f8[::1])))")
+def poles_of_walls(polynomials: Arrays, walls: Arrays, first: Complexes, out: Arrays) -> None:
     """Compute z - 1 of all poles of each wall, and whether the search converged.
 
-    ``out`` contains the poles of a first wall, which are the start of each search and are replaced; the poles, shape
-    (n, states); whether they converged, shape (n,); and a work array.
+    Parameters
+    ----------
+    polynomials, walls : tuple
+        Determinant and walls of `modes.polynomials`; alpha and beta.
+    first : complex128, shape (states,)
+        Poles of some wall, from which the first search starts.
+    out : tuple
+        The poles, shape (n, states), and whether they converged, shape (n,), as an output; and a work array.
     """
-    guess, zeta, known, forces = out
+    zeta, known, forces = out
+    last = -1
     for n in range(len(known)):
-        copy(guess, zeta[n])
-        known[n] = roots(modal, (walls[0][n], walls[1][n]), zeta[n], forces)
-        if known[n]:
-            copy(zeta[n], guess)
+        copy(first if last < 0 else zeta[last], zeta[n])
+        known[n] = roots(polynomials[0], polynomials[1], (walls[0][n], walls[1][n]), zeta[n], forces)
+        last = n if known[n] else last
 
 
 @inlined
@@ -393,7 +419,7 @@ def shapes(modal: Arrays, wall: tuple[float, float], start: Floats, pole: Floats
     times the newer one: right (adj G, D z^(delay - age)), left (law adj z^delay, law adj G z^(age - 1)). For the oldest
     force, only its own gain is used.
     """
-    determinant, rows, columns, _, gains, _ = modal
+    determinant, _, rows, columns, gains, _ = modal
     own, delay = rows.shape[2], len(start) - rows.shape[2]
     for m in range(len(pole)):
         zeta, one = pole[m], 1 + pole[m]
@@ -440,14 +466,14 @@ def are_complete(state: Floats, start: Floats) -> bool:
 
 
 @part
-def outlook(law: Floats, n: int, hull: Floats, pole: Floats, state: Floats, view: Floats) -> bool:
+def outlook(rows: Floats, own: int, hull: Floats, pole: Floats, state: Floats, view: Floats) -> bool:
     """Compute the contribution of modes to the motion in the interval after sample 0, and return whether all modes
     decay.
 
     The columns of ``view`` are the decay per sample, the real part of the pole, the largest size, the distance below
     zero that the mode keeps (for a real positive pole), a power of the pole (two columns), and its imaginary part.
     """
-    own, delay = law.shape[1], state.shape[1] - law.shape[1]
+    delay = state.shape[1] - own
     for m in range(len(state)):
         if abs(pole[m].imag) < ROUNDED:
             pole[m] = complex(pole[m].real, 0.0)
@@ -455,7 +481,7 @@ def outlook(law: Floats, n: int, hull: Floats, pole: Floats, state: Floats, view
         view[m, 1], view[m, 6] = pole[m].real, pole[m].imag
         force, size, least = 0j, 0.0, math.inf
         for i in range(own):
-            force += law[n, i] * state[m, i]
+            force += rows[LAW, i] * state[m, i]
         older = state[m, own + delay - 1] if delay else force
         newer = state[m, own + delay - 2] if delay > 1 else force
         for c in range(len(hull)):
@@ -481,7 +507,7 @@ def grow(view: Floats, sample: int) -> None:
 @inlined
 def moved_to(sample: int, state: Floats, view: Floats, body: Arrays) -> None:
     """Set own states and delayed forces to their values at a sample, computed from the modes."""
-    z, line = body[0], body[1]
+    z, line = body[1], body[2]
     grow(view, sample)
     for i in range(state.shape[1]):
         value, age = 0.0, i - len(z) + 1
@@ -496,15 +522,15 @@ def moved_to(sample: int, state: Floats, view: Floats, body: Arrays) -> None:
 @inlined
 def agrees(state: Floats, view: Floats, body: Arrays, sample: int, reproduced: float) -> bool:
     """Return whether a response agrees with its modes at a sample."""
-    z, levers, n = body[0], body[5], body[6]
+    rows, z = body[0], body[1]
     off, size = 0.0, 0.0
     grow(view, sample)
     for i in range(len(z)):
         place = 0.0
         for m in range(len(view)):
             place += state[m, i].real * view[m, 4] - state[m, i].imag * view[m, 5]
-        off += levers[n, i] * abs(place - z[i])
-        size += levers[n, i] * abs(z[i])
+        off += rows[LEVERS, i] * abs(place - z[i])
+        size += rows[LEVERS, i] * abs(z[i])
     return off <= reproduced * (1 + sample / ROUNDED_SAMPLES) * size
 
 
@@ -585,7 +611,7 @@ def settle(
     a sample, and arguments of `climb`.
     """
     state, view, since, longest = ahead
-    z, line, _, _, _, _, _, begun, begun_line = body
+    rows, z, line, _, _ = body
     settled, _, _, calm = notes
     last, window = math.ceil(envelope_end(view, requested[0][b], since)), WINDOW_SAMPLES
     if last > cutoff > since:
@@ -597,8 +623,8 @@ def settle(
         if first > since:
             moved_to(first, state, view, body)
         else:
-            copy(begun, z)
-            copy(begun_line, line)
+            copy(rows[BEGUN], z)
+            copy(rows[BEGUN_LINE], line)
         if abs(z[0]) > requested[0][b]:
             settled[b] = first
         calm[0] = calm[1] = 0.0
@@ -616,10 +642,10 @@ def climb(interval: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, requeste
     ``ahead`` is as in `settle`, with the number of samples to simulate.
     """
     state, view, k, longest = ahead
-    z, line, _, _, _, _, _, begun, begun_line = body
+    rows, z, line, _, _ = body
     _, _, peak, calm = notes
-    copy(begun, z)
-    copy(begun_line, line)
+    copy(rows[BEGUN], z)
+    copy(rows[BEGUN_LINE], line)
     last = longest + k
     while k < last:
         free = below_a_peak(view, max(peak[1], requested[5]), k)
@@ -636,40 +662,48 @@ def climb(interval: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, requeste
 
 
 @compiled(
-    f"void({INTERVAL},{MODAL},{WALLS},Tuple(({RULE},Tuple((i8,i8,f8)))),Tuple((c16[:,::1],c16[:,:,::1])),"
-    f"Tuple((f8[:,::1],i8[::1],{WORK})))"
+    f"void({INTERVAL},{MODAL},{WALLS},Tuple(({RULE},Tuple((i8,i8,f8)))),Tuple((c16[::1],c16[:,::1],c16[:,:,::1])),"
+    "Tuple((f8[:,::1],i8[::1],f8[:,::1],c16[:,::1])))"
 )
 def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, requested: Arrays, given: Arrays, out: Arrays) -> None:
     """Compute the settling times and overshoots of step responses.
 
     Parameters
     ----------
-    interval, modal : tuple
-        Results of `interval_motion` and `polynomials`.
+    interval : tuple
+        Result of `interval_motion`.
+    modal : tuple
+        Results of `modes.polynomials` and `modes.hull`.
     walls : tuple
         Result of `_walls`.
     requested : tuple
         Settings of `march`; and the largest number of samples of a response, the number of samples before its modes are
         used, and the largest difference between a state and its modes, relative to its motion.
     given : tuple
-        Poles and states of modes, shapes (n, modes) and (n, modes, states), if polynomials do not provide them.
-        Otherwise, n = 0.
+        Poles of some wall minus 1, from which the first search starts. Poles and states of modes, shapes (n, modes) and
+        (n, modes, states), if polynomials do not provide them. Otherwise, n = 0.
     out : tuple
         Costs, shape (n, 2 bands + 2), as an output: settling times and overshoot of the samples, then of the motion;
         status, shape (n,); and arrays of `_work`.
     """
     _, _, curves, timing = interval
-    alpha, beta, laws, levers, start, guess = walls
+    alpha, beta, _, _, _, start = walls
     rule, (longest, looked, reproduced) = requested
     _, swings, between, memory, _, _, _ = rule
-    costs, status, (z, line, moved, curve, begun, begun_line), notes, (initial, forces, pole, former, state, view) = out
-    settled, entry, peak, calm = notes
+    costs, status, rows, complexes = out
     later = rule[:6] + (math.inf,)  # noqa: RUF005 (numba)
-    own, count, states = len(start), len(settled), len(guess)
+    own, count, states = len(start), costs.shape[1] // 2 - 1, complexes.shape[1]
+    body = body_of(rows, own, states - own, curves.shape[1])
+    _, z, line, _, curve = body
+    settled, entry, peak, calm = rows[SETTLED, :count], rows[ENTRY : ENTRY + count], rows[PEAK, :2], rows[CALM, :2]
+    notes = settled, entry, peak, calm
+    initial, forces, view = rows[START, :states], rows[FORCES, : own + 1], rows[ENTRY + count :]
+    guess, former, pole, state = complexes[0], complexes[1], complexes[2], complexes[3:]
+    copy(given[0], guess)
     copy(guess, former)
     for n in range(len(alpha)):
-        wall, body = (alpha[n], beta[n]), (z, line, moved, curve, laws, levers, n, begun, begun_line)
-        begin(start, alpha[n], z, line)
+        wall = (alpha[n], beta[n])
+        begin(walls, n, body)
         for i in range(states):
             initial[i] = start[i] if i < own else alpha[n]
         for b in range(count):
@@ -679,14 +713,14 @@ def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, requested: Arrays
         k, how = march(interval, body, notes, (k, min(looked, longest), 0, count), rule)
         while how == MOVING:
             if not tried:
-                if len(given[0]):
-                    copy(given[0][n], pole)
+                if len(given[1]):
+                    copy(given[1][n], pole)
                     for m in range(states):
-                        copy(given[1][n, m], state[m])
+                        copy(given[2][n, m], state[m])
                 else:
                     status[n] = NO_MODES
                     copy(guess, pole)
-                    if not (len(modal[0]) and roots(modal, wall, pole, forces)):
+                    if not (len(modal[0]) and roots(modal[0], modal[1], wall, pole, forces)):
                         break
                     for m in range(states):
                         guess[m], former[m] = 2 * pole[m] - former[m], pole[m]
@@ -696,14 +730,14 @@ def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, requested: Arrays
                 fades = modes > 0 and are_complete(state[:modes], initial)
                 if not fades and status[n] == NO_MODES:
                     break
-                status[n], fades = KNOWN, fades and outlook(laws, n, modal[5], pole, state[:modes], view)
+                status[n], fades = KNOWN, fades and outlook(rows, own, modal[5], pole, state[:modes], view)
             known = fades and agrees(state[:modes], view[:modes], body, k, reproduced)
             if known or k >= longest:
                 break
             k, how = march(interval, body, notes, (k, min(2 * k, longest), 0, count), rule)
         if known:
-            copy(z, begun)
-            copy(line, begun_line)
+            copy(z, rows[BEGUN, :own])
+            copy(line, rows[BEGUN_LINE, : len(line)])
         elif how == LATE or (how == MOVING and status[n] == KNOWN):
             status[n] = UNFINISHED if how == MOVING and calm[0] > memory else UNSETTLED | UNFINISHED
         ahead = (state[:modes], view[:modes], k, longest)
@@ -712,58 +746,62 @@ def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, requested: Arrays
             costs[n, b], costs[n, count + 1 + b] = settled[b] + 1 if met else math.nan, math.nan
             if between and met and entry[b, 0] >= 0:
                 j = int(entry[b, 1])
-                curve_of(curves, j, entry[b, 5:], (entry[b, 3], entry[b, 4]), curve)
+                curve_of(curves, j, entry[b, 5 : 5 + own], (entry[b, 3], entry[b, 4]), curve)
                 costs[n, count + 1 + b] = entry[b, 0] + timing[0, j] + passing(curve, entry[b, 2]) * timing[1, j]
         if known and swings and not climb(interval, body, notes, ahead, later):
             status[n] |= UNFINISHED
         costs[n, count], costs[n, 2 * count + 1] = peak[1], max(peak[0], peak[1])
 
 
-@compiled(f"void({INTERVAL},{WALLS},Tuple((f8[::1],i8,i8,f8)),{BODY},f8[::1])")
-def late_deviations(interval: Arrays, walls: Arrays, requested: Arrays, body: Arrays, largest: Floats) -> None:
+@compiled(f"void({INTERVAL},{WALLS},Tuple((f8[::1],i8,i8,f8)),Tuple((f8[::1],f8[:,::1],i8)))")
+def late_deviations(interval: Arrays, walls: Arrays, requested: Arrays, out: Arrays) -> None:
     """Compute the largest deviation of each response from a given sample on.
 
     ``requested`` contains these samples, shape (n,), the last sample, the memory of the loop, and a share of the
-    largest deviation. A response ends when all motion has been below this share for the memory of the loop.
+    largest deviation. A response ends when all motion has been below this share for the memory of the loop. ``out``
+    contains the largest deviations, shape (n,), a work array, and the delay in samples.
     """
-    step, _, _, _ = interval
-    alpha, _, laws, levers, start, _ = walls
+    step, _, curves, _ = interval
     since, longest, memory, share = requested
-    z, line, moved, _ = body
-    for n in range(len(alpha)):
-        begin(start, alpha[n], z, line)
+    largest, rows, delay = out
+    body = body_of(rows, len(walls[5]), delay, curves.shape[1])
+    _, z, line, moved, _ = body
+    for n in range(len(largest)):
+        begin(walls, n, body)
         largest[n], k, calm, at, first = 0.0, 0, 0, 0, (z[0], z[1], z[2])
         while k < longest and calm <= memory:
-            forces, at = delayed(line, at, seen_by(laws, n, z, first))
+            forces, at = delayed(line, at, seen_by(rows, LAW, z, first))
             first = begun_again(z, moved, advanced(step, z, moved, first, forces))
             k += 1
             place, size = abs(first[0]), 0.0
             for i in range(len(z)):
-                size += levers[n, i] * abs(z[i])
+                size += rows[LEVERS, i] * abs(z[i])
             if k >= since[n]:
                 largest[n] = max(largest[n], place)
             calm = calm + 1 if k >= since[n] and max(size, place) <= share * largest[n] else 0
 
 
-@compiled(f"void({INTERVAL},{WALLS},Tuple((f8[::1],i8,b1)),{BODY},f8[:,:,::1])")
-def rises(interval: Arrays, walls: Arrays, requested: Arrays, body: Arrays, time: Floats) -> None:
-    """Compute the times at which each response first reaches levels below zero, shape (2, levels, n).
+@compiled(f"void({INTERVAL},{WALLS},Tuple((f8[::1],i8,b1)),Tuple((f8[:,:,::1],f8[:,::1],i8)))")
+def rises(interval: Arrays, walls: Arrays, requested: Arrays, out: Arrays) -> None:
+    """Compute the times at which each response first reaches levels below zero.
 
-    The times are those of the motion and of linearly interpolated samples. ``requested`` contains the levels, the last
-    sample, and whether the motion between samples is requested.
+    ``requested`` contains the levels, the last sample, and whether the motion between samples is requested. ``out``
+    contains the times of the motion and of linearly interpolated samples, shape (2, levels, n), a work array, and the
+    delay in samples.
     """
     step, ends, curves, timing = interval
-    alpha, _, laws, _, start, _ = walls
     levels, longest, between = requested
-    z, line, moved, curve = body
-    for n in range(len(alpha)):
-        begin(start, alpha[n], z, line)
+    time, rows, delay = out
+    body = body_of(rows, len(walls[5]), delay, curves.shape[1])
+    _, z, line, moved, curve = body
+    for n in range(time.shape[2]):
+        begin(walls, n, body)
         k, left, at, first = 0, len(levels), 0, (z[0], z[1], z[2])
         for m in range(len(levels)):
             time[0, m, n] = time[1, m, n] = math.nan
         place, speed, _ = first
         while k < longest and left:
-            forces, at = delayed(line, at, seen_by(laws, n, z, first))
+            forces, at = delayed(line, at, seen_by(rows, LAW, z, first))
             sampled, following = place, advanced(step, z, moved, first, forces)
             for j in range(len(curves)):
                 after, speed_after, _ = following

@@ -46,6 +46,13 @@ def none(loop: NormalisedLoop) -> tuple[Complexes, Complexes]:
 
 
 @lru_cache(maxsize=64)
+def first_poles(loop: NormalisedLoop) -> Complexes:
+    """Return the poles of a wall minus 1, shape (states,), from which the search for those of the first wall starts."""
+    one = np.ones(1)
+    return np.asarray(np.linalg.eigvals(loop.matrix(one, one))[0] - 1.0, np.complex128)
+
+
+@lru_cache(maxsize=64)
 def polynomials(loop: NormalisedLoop) -> tuple[Floats, ...]:
     """Return determinant D and adjugate of z - A without delayed forces, as polynomials in zeta, lowest power first.
 
@@ -53,28 +60,20 @@ def polynomials(loop: NormalisedLoop) -> tuple[Floats, ...]:
     -------
     determinant : float64, shape (own + 1,)
         Empty for a long filter, since its polynomials lose digits.
+    walls : float64, shape (2, own + 1)
+        Products of position and velocity with the columns. The poles solve z^delay D + alpha walls_0 + beta walls_1 =
+        0.
     rows : float64, shape (2, own, own)
         Products of the rows of position and velocity with the adjugate. The last two axes are powers and states.
     columns : float64, shape (own + 1, own)
         Product of the adjugate and the gains of the forces, with those of the newer force multiplied by z. The axes are
         powers and states.
-    walls : float64, shape (2, own + 1)
-        Products of position and velocity with the columns. The poles solve z^delay D + alpha walls_0 + beta walls_1 =
-        0.
     gains : float64, shape (2, own)
         Gains of the oldest force and of the next one.
-    hull : float64, shape (coefficients, p + s)
-        Bernstein coefficients of the position over all pieces. The position is between the smallest and the largest
-        one.
     """
     steps, n = loop.own, len(loop.own.free)
-    curves = interval_motion(loop, True)[2]
-    # a raised degree moves the coefficients closer to the curve
-    rows, powers = range(DEGREE + 1), range(curves.shape[1])
-    change = np.array([[math.comb(j, i) / math.comb(DEGREE, i) for i in powers] for j in rows])
-    hull = np.ascontiguousarray((change @ curves).reshape(-1, curves.shape[2]))
     if n > _LONGEST:
-        return np.zeros(0), np.zeros((2, n, n)), *(np.zeros((1, 1)) for _ in range(3)), hull
+        return np.zeros(0), np.zeros((1, 1)), np.zeros((2, n, n)), *(np.zeros((1, 1)) for _ in range(2))
     with many_digits(loop.digits):
         basis, turned = map(as_exact, own_basis(loop))
         none = as_exact(np.zeros((1, n)))
@@ -84,5 +83,22 @@ def polynomials(loop: NormalisedLoop) -> tuple[Floats, ...]:
         outputs = np.array([steps.position, steps.velocity])
         rows = np.swapaxes(outputs @ inverse, 0, 1)
         gains = np.array([older, newer])
-        parts = determinant, rows @ turned, columns @ basis.T, outputs @ columns.T, gains @ basis.T
-        return *(np.ascontiguousarray(as_floats(part)) for part in parts), hull
+        parts = determinant, outputs @ columns.T, rows @ turned, columns @ basis.T, gains @ basis.T
+        return tuple(np.ascontiguousarray(as_floats(part)) for part in parts)
+
+
+@lru_cache(maxsize=64)
+def hull(loop: NormalisedLoop) -> Floats:
+    """Return the Bernstein coefficients of the position over all pieces, shape (coefficients, own + 2).
+
+    They map own states and two forces (`interval_motion`). The position is between the smallest and the largest one.
+    """
+    curves = interval_motion(loop, True)[2]
+    # a raised degree moves the coefficients closer to the curve
+    return np.ascontiguousarray((_bernstein(curves.shape[1]) @ curves).reshape(-1, curves.shape[2]))
+
+
+@lru_cache(maxsize=DEGREE + 1)
+def _bernstein(powers: int) -> Floats:
+    """Return the matrix that converts coefficients, lowest power first, to the Bernstein basis of degree 12."""
+    return np.array([[math.comb(j, i) / math.comb(DEGREE, i) for i in range(powers)] for j in range(DEGREE + 1)])

@@ -9,9 +9,11 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
+from numpy.typing import NDArray
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, many_digits
@@ -136,7 +138,7 @@ def starts(loop: NormalisedLoop) -> tuple[Floats, ...]:
     return tuple(result)
 
 
-def _edges(rates: Floats, duration: float) -> Floats:
+def _edges(rates: NDArray[Any], duration: float) -> Floats:
     turning = float(np.abs(rates[np.abs(rates.imag) > np.abs(rates.real)]).max(initial=0.0))
     settling = float(np.abs(rates[np.abs(rates.imag) <= np.abs(rates.real)]).max(initial=0.0))
     halvings = max(0, int(np.ceil(np.log2(settling * duration)))) if settling > 0 else 0

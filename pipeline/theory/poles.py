@@ -32,7 +32,7 @@ from pipeline.theory.crossings import (
 _CHUNK = 8192
 """Number of points whose eigenvalues are computed together. It limits memory to about 40 MB at d = 16."""
 
-_FEW = 32
+_FEW = 8
 """Largest number of points for which eigenvalues are faster than the polynomials of a loop."""
 
 
@@ -44,11 +44,10 @@ def poles(loop: NormalisedLoop, alpha: object, beta: object) -> Complexes:
     """
     a, b = as_points(alpha, beta)
     found, left = np.empty((len(a), loop.states), np.complex128), np.arange(len(a))
-    if len(a) > _FEW and len(modal := modes.polynomials(loop)[0]):
-        known, guess = np.empty(len(a), np.bool_), np.linalg.eigvals(loop.matrix(a[:1], b[:1]))[0] - 1.0 + 0j
-        walls, work = (np.ascontiguousarray(a), np.ascontiguousarray(b)), np.empty(len(modal))
+    if len(a) > _FEW and len((modal := modes.polynomials(loop)[:2])[0]):
+        known = np.empty(len(a), np.bool_)
         with np.errstate(all="ignore"):  # a failing search may overflow
-            march.poles_of_walls(modes.polynomials(loop), walls, (guess, found, known, work))
+            march.poles_of_walls(modal, (a, b), modes.first_poles(loop), (found, known, np.empty(len(modal[0]))))
         found += 1.0
         left = np.flatnonzero(~known)
     for part in (left[i : i + _CHUNK] for i in range(0, len(left), _CHUNK)):

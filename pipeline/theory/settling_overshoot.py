@@ -9,6 +9,7 @@ node of a beat is not mistaken for its end.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from pipeline.records.criteria import DISCRETE, OVERSHOOT
 from pipeline.records.trials import Floats, Integers
 from pipeline.theory import march, modes
 from pipeline.theory.march import Arrays
-from pipeline.theory.motion import interval_motion, own_basis
+from pipeline.theory.motion import DEGREE, interval_motion, own_basis
 
 LONGEST = 1 << 18
 """Largest number of samples of a response, after which it has no settling time, for a spectral radius of 1 - 1e-5."""
@@ -127,7 +128,7 @@ def late_deviation(loop: NormalisedLoop, alpha: object, beta: object, first: obj
     a, b = as_points(alpha, beta)
     largest, since = np.empty(len(a)), np.broadcast_to(np.asarray(first, dtype=np.float64), a.shape).copy()
     interval, requested = interval_motion(loop, False), (since, longest, _memory(loop), _FADED)
-    march.late_deviations(interval, _walls(loop, a, b), requested, _work(loop, interval, 0)[0][:4], largest)
+    march.late_deviations(interval, _walls(loop, a, b), requested, (largest, _rows(loop, 0), loop.oldest_force))
     return largest
 
 
@@ -141,7 +142,7 @@ def first_reached(
     """
     time = np.empty((2, len(levels), len(alpha)))
     interval, requested = interval_motion(loop, between), (np.array(levels), longest, between)
-    march.rises(interval, _walls(loop, alpha, beta), requested, _work(loop, interval, 0)[0][:4], time)
+    march.rises(interval, _walls(loop, alpha, beta), requested, (time, _rows(loop, 0), loop.oldest_force))
     return time[0], time[1]
 
 
@@ -150,57 +151,55 @@ def _followed(
 ) -> tuple[Floats, Integers]:
     """Return costs and status of responses from `march.step_costs`, for the settings ``rule`` of a march."""
     alpha, beta = walls
-    interval, count = interval_motion(loop, rule[2]), len(rule[0])
-    costs, status = np.empty((len(alpha), 2 * count + 2)), np.full(len(alpha), march.UNFINISHED)
-    work, together = _work(loop, interval, count), max(1, _ENTRIES // loop.states**2)
-    requested = rule, (longest, max(_FIRST, int(_LOOK * loop.states**2)), modes.STILL_REPRODUCED)
-    parts, by_eigenvectors = [np.arange(len(alpha))], False
-    while parts:
-        for part in parts:
-            given = modes.by_eigenvectors(loop, alpha[part], beta[part]) if by_eigenvectors else modes.none(loop)
-            results, of_part = (costs[part], status[part]), _walls(loop, alpha[part], beta[part])
-            with np.errstate(all="ignore"):  # NaN modes are inconclusive
-                march.step_costs(interval, modes.polynomials(loop), of_part, requested, given, (*results, *work))
-            costs[part], status[part] = results
+    interval, count, n = interval_motion(loop, rule[2]), len(rule[0]), loop.states
+    modal, first = (*modes.polynomials(loop), modes.hull(loop)), modes.first_poles(loop)
+    costs, status = np.empty((len(alpha), 2 * count + 2)), np.empty(len(alpha), np.int64)
+    work, together = (_rows(loop, count), np.empty((n + 3, n), np.complex128)), max(1, _ENTRIES // n**2)
+    requested = rule, (longest, max(_FIRST, int(_LOOK * n**2)), modes.STILL_REPRODUCED)
+    with np.errstate(all="ignore"):  # NaN modes are inconclusive
+        given = first, *modes.none(loop)
+        march.step_costs(interval, modal, _walls(loop, *walls), requested, given, (costs, status, *work))
         unknown = np.flatnonzero(status == march.NO_MODES)
-        parts, by_eigenvectors = [unknown[i : i + together] for i in range(0, len(unknown), together)], True
+        for part in (unknown[i : i + together] for i in range(0, len(unknown), together)):
+            of_part, results = (alpha[part], beta[part]), (costs[part], status[part])
+            given = first, *modes.by_eigenvectors(loop, *of_part)
+            march.step_costs(interval, modal, _walls(loop, *of_part), requested, given, (*results, *work))
+            costs[part], status[part] = results
     return costs, status
 
 
 def _walls(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Arrays:
-    """Return walls, their laws, largest effects of own states on the position, initial states, and poles of a wall."""
+    """Return walls, and what the laws, levers and initial states of all walls of a loop consist of."""
+    return alpha, beta, *_of_walls(loop)
+
+
+@lru_cache(maxsize=64)
+def _of_walls(loop: NormalisedLoop) -> Arrays:
+    """Return the part of `_walls` that all walls of a loop share.
+
+    The largest effect of an own state on the position is 1, the lever (the longest time [samples] for which a velocity
+    acts), or at most half a period of a mode. It is 0 for filters and the last sample.
+    """
     basis, inverse = own_basis(loop)
-    own = len(basis)
-    laws, start = loop.law(alpha, beta)[:, :own] @ inverse, basis @ loop.starts(np.ones(1), "step")[0, :own]
-    guess = np.linalg.eigvals(loop.matrix(alpha[:1], beta[:1])).ravel() - 1.0 + 0j
-    return alpha, beta, laws, _levers(loop, alpha), start, guess
+    own, mechanical, (_, _, *outputs) = len(basis), loop.device.mechanical, loop.open_loop
+    effects, short = np.zeros((3, own)), np.inf
+    effects[0, 0] = effects[1, 1] = 1.0
+    if loop.plant.has_mode:
+        load = loop.plant.load_mass
+        short = 1 / np.sqrt(loop.plant.spring * (1 / (1 - load) + 1 / load))
+        effects[0, 2] = effects[2, 3] = abs(loop.device.sensor[2])
+    effects[1, mechanical : loop.device.states] = loop.lag
+    start = basis @ loop.starts(np.ones(1), "step")[0, :own]
+    limits = loop.gamma, 8 * (loop.delay + loop.lag + 1), float(short)
+    return np.array(outputs)[:, :own] @ inverse, effects @ np.abs(inverse), limits, start
 
 
-def _work(loop: NormalisedLoop, interval: Arrays, count: int) -> Arrays:
-    """Return the work arrays of a point. They are those of the march, its records, and those of the modes."""
-    n, delay = loop.states, loop.oldest_force
-    own = n - delay
-    marched = tuple(np.zeros(size) for size in (own, delay, own, interval[2].shape[1], own, delay))
-    notes = np.zeros(count), np.zeros((count, 5 + own)), np.zeros(2), np.zeros(2)
-    complexes = *np.zeros((2, n), np.complex128), np.zeros((n, n), np.complex128)
-    return marched, notes, (np.zeros(n), np.zeros(own + 1), *complexes, np.zeros((n, 7)))
+def _rows(loop: NormalisedLoop, bands: int) -> Floats:
+    """Return the work array of a march, whose rows are long enough for all of its contents."""
+    n = loop.states
+    return np.empty((march.ENTRY + bands + n, max(n - loop.oldest_force + 5, n, DEGREE + 1)))
 
 
 def _memory(loop: NormalisedLoop) -> int:
     """Return the memory of filter and delay in samples."""
     return loop.oldest_force + len(loop.filter_in_z[0]) + 1
-
-
-def _levers(loop: NormalisedLoop, alpha: Floats) -> Floats:
-    """Return the largest effect of own states on the position, shape (n, own), or 0 for filters and the last sample."""
-    lever = np.maximum(8 * (loop.delay + loop.lag + 1), 2 / np.sqrt(alpha + loop.gamma))
-    rows = [np.ones_like(lever), lever]
-    if loop.plant.has_mode:
-        load = loop.plant.load_mass
-        turn = np.sqrt(loop.plant.spring * (1 / (1 - load) + 1 / load))
-        sensed = abs(loop.device.sensor[2])
-        rows += [sensed * np.ones_like(lever), sensed * np.minimum(lever, 1 / turn)]
-    rows += [loop.lag * lever] * (loop.device.states - loop.device.mechanical)
-    levers = np.zeros((len(alpha), loop.states - loop.oldest_force))
-    levers[:, : len(rows)] = np.transpose(rows)
-    return levers @ np.abs(own_basis(loop)[1])
