@@ -13,7 +13,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.trials import Floats
 from pipeline.surface.physical_loop import Loop
-from pipeline.theory.boundary import boundary, stiffness_limit
+from pipeline.theory.boundary import boundary, soft_interval, stiffness_limit
 from pipeline.theory.cases import Case, costs_of_walls
 from pipeline.theory.crossings import first_branch
 from pipeline.theory.poles import spectral_radius
@@ -216,20 +216,35 @@ def _corners(loop: Loop, tolerance: float) -> list[Loop]:
 
 
 def _room(rigs: Sequence[Loop], wish: DesignTarget, walls: Floats, above: float) -> Floats:
-    """Compute the margin of each wall for the worst rig, shape (n,). Values below ``above`` are not exact."""
-    room = np.full(len(walls), np.inf)
-    for rig in rigs:
-        loop, unit = rig.normalised_loop, rig.units
-        alpha, beta = walls.T / [[unit.stiffness], [unit.damping]]
-        with np.errstate(divide="ignore"):
-            left = -np.log(spectral_radius(loop, wish.margin * alpha, beta))
-        left = _softer(loop, wish.margin * alpha, beta, left)
-        if wish.settling_s is not None or wish.overshoot is not None:
-            stable = left > 0
-            left = np.where(stable, -_NOTHING, left + 2 * _NOTHING)  # unstable walls rank below all stable walls
-            left[stable] = np.minimum(left[stable], _spare(rig, wish, alpha[stable], beta[stable], above))
-        room = np.minimum(room, left)
+    """Compute the margin of each wall for the worst rig, shape (n,). Values below ``above`` are not exact, nor is -inf
+    if a wall is stable."""
+    room = np.min([_room_of_stable(rig, wish, walls, above) for rig in rigs], axis=0)
+    if room.max() > -math.inf:
+        return np.asarray(room)
+    return np.asarray(np.min([_room_of_unstable(rig, wish, walls) for rig in rigs], axis=0))
+
+
+def _room_of_stable(rig: Loop, wish: DesignTarget, walls: Floats, above: float) -> Floats:
+    """Compute the margins of walls for a rig, shape (n,). They are -inf if a wall or a softer wall is unstable."""
+    loop, room = rig.normalised_loop, np.full(len(walls), -math.inf)
+    alpha, beta = walls.T / [[rig.units.stiffness], [rig.units.damping]]
+    stable = np.flatnonzero(wish.margin * alpha < soft_interval(loop, beta)[1])
+    if len(stable) and (wish.settling_s is not None or wish.overshoot is not None):
+        room[stable] = np.minimum(-_NOTHING, _spare(rig, wish, alpha[stable], beta[stable], above))
+    elif len(stable):
+        room[stable] = -np.log(spectral_radius(loop, wish.margin * alpha[stable], beta[stable]))
     return room
+
+
+def _room_of_unstable(rig: Loop, wish: DesignTarget, walls: Floats) -> Floats:
+    """Compute the margins of walls for a rig if no wall is stable for all rigs, shape (n,)."""
+    alpha, beta = walls.T / [[rig.units.stiffness], [rig.units.damping]]
+    with np.errstate(divide="ignore"):
+        left = -np.log(spectral_radius(rig.normalised_loop, wish.margin * alpha, beta))
+    left = _softer(rig.normalised_loop, wish.margin * alpha, beta, left)
+    if wish.settling_s is None and wish.overshoot is None:
+        return left
+    return np.where(left > 0, -_NOTHING, left + 2 * _NOTHING)  # unstable walls rank below all stable walls
 
 
 def _softer(loop: NormalisedLoop, alpha: Floats, beta: Floats, left: Floats) -> Floats:
