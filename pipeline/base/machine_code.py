@@ -21,6 +21,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from pipeline.base.compiled import Constants
 from pipeline.base.provenance import digest, sha256
 
 Function = Callable[..., Any]
@@ -188,6 +189,13 @@ class Several(Type):
 
     def append(self, value: tuple[Any, ...], values: list[Any]) -> None:
         """Append all parts to the arguments."""
+        if isinstance(value, Constants):
+            if value.words is None:
+                words = list[Any]()
+                self.append(tuple(value), words)
+                value.words = words  # complete, for other threads
+            values += value.words
+            return
         for part, one in zip(self.parts, value, strict=True):
             if isinstance(part, Number):  # most parts are numbers, and a call would take longer than all else
                 values.append(one)

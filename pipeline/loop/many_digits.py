@@ -6,6 +6,7 @@ context of `many_digits` determines the number of digits.
 
 from __future__ import annotations
 
+import math
 from contextlib import AbstractContextManager
 from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal, localcontext
 from functools import lru_cache
@@ -71,33 +72,34 @@ def resolvent(matrix: Digits) -> tuple[Digits, Digits]:
     one = as_exact(np.eye(len(matrix)))
     adjugate, determinant = [one], [Decimal(1)]
     for k in range(1, len(matrix) + 1):
-        turned = matrix @ adjugate[-1]
-        determinant.append(-sum(np.diagonal(turned), Decimal(0)) / k)
-        adjugate.append(turned + determinant[-1] * one)
-    return np.array(determinant[::-1], dtype=object), np.array(adjugate[-2::-1], dtype=object)
+        if k > 1:
+            adjugate.append(matrix @ adjugate[-1] + determinant[-1] * one)
+        determinant.append(-(matrix * adjugate[-1].T).sum() / k)  # the trace of their product
+    return np.array(determinant[::-1], dtype=object), np.array(adjugate[::-1], dtype=object)
 
 
 def exponential(matrix: Digits, digits: int) -> Digits:
     """Return the exponential of a square matrix, from the power series of the scaled matrix and repeated squaring.
 
     Powers n and above of an n x n matrix are combinations of lower powers (Cayley and Hamilton). Terms of the series
-    are therefore vectors of n coefficients.
+    are therefore vectors of n coefficients. They are at most of size 1, and summed as multiples of a power of 2.
     """
     norm = float(np.abs(matrix).sum(axis=1).max())
     halvings = max(0, int(np.ceil(np.log2(norm / _SMALL)))) if norm > 0 else 0
-    part = matrix / Decimal(2) ** halvings
-    smallest = Decimal(10) ** -(digits + halvings)
-    bottom = resolvent(part)[0][:-1].tolist()
-    sums = term = [Decimal(1)] + [Decimal(0)] * (len(bottom) - 1)
+    part, unit = matrix / Decimal(2) ** halvings, as_exact(np.eye(len(matrix)))
+    bits = math.ceil((digits + halvings) * math.log2(10))
+    bottom = [int(c * (1 << bits)) for c in resolvent(part)[0][:-1]]
+    sums = term = [1 << bits] + [0] * (len(bottom) - 1)
     for n in range(1, 4 * digits):
-        carried = term[-1] / n
-        term = [(low / n) - carried * c for low, c in zip([Decimal(0), *term[:-1]], bottom, strict=True)]
+        carried = term[-1]
+        term = [(low - (carried * c >> bits)) // n for low, c in zip([0, *term[:-1]], bottom, strict=True)]
         sums = [a + b for a, b in zip(sums, term, strict=True)]
-        if max(map(abs, term)) < smallest:
+        if max(map(abs, term)) <= 1:
             break
-    result, power_of = as_exact(np.zeros(matrix.shape)), as_exact(np.eye(len(matrix)))
-    for factor in sums:
-        result, power_of = result + factor * power_of, power_of @ part
+    powers: list[Digits] = [Decimal(factor) / (1 << bits) * unit for factor in reversed(sums)]
+    result = powers[0]
+    for power in powers[1:]:
+        result = result @ part + power
     for _ in range(halvings):
         result = result @ result
     return result

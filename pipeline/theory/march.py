@@ -43,7 +43,7 @@ Forces = tuple[float, float]
 """The older and the newer force that act in an interval."""
 
 INTERVAL = "Tuple((f8[:,::1],f8[:,::1],f8[:,:,::1],f8[:,::1]))"
-WALLS = "Tuple((f8[::1],f8[::1],f8[:,::1],f8[:,::1],UniTuple(f8,3),f8[::1]))"
+WALLS = "Tuple((f8[::1],f8[::1],Tuple((f8[:,::1],f8[:,::1],UniTuple(f8,3),f8[::1]))))"
 MODAL = "Tuple((f8[::1],f8[:,::1],f8[:,:,::1],f8[:,::1],f8[:,::1],f8[:,::1]))"
 RULE = "Tuple((f8[::1],b1,b1,i8,f8,f8,f8))"
 
@@ -155,7 +155,7 @@ def copy(source: NDArray[Any], target: NDArray[Any]) -> None:
 @inlined
 def begin(walls: Arrays, n: int, body: Arrays) -> None:
     """Set law and levers of a wall, and the own states and the delayed forces at sample 0."""
-    alpha, beta, outputs, effects, (gamma, least, short), start = walls
+    alpha, beta, (outputs, effects, (gamma, least, short), start) = walls
     rows, z, line, _, _ = body
     lever = max(least, 2 * (alpha[n] + gamma) ** -0.5)
     for i in range(len(z)):
@@ -673,7 +673,7 @@ def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, requested: Arrays
     interval : tuple
         Result of `interval_motion`.
     modal : tuple
-        Results of `modes.polynomials` and `modes.hull`.
+        Result of `modes.modal`.
     walls : tuple
         Result of `_walls`.
     requested : tuple
@@ -687,7 +687,7 @@ def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, requested: Arrays
         status, shape (n,); and arrays of `_work`.
     """
     _, _, curves, timing = interval
-    alpha, beta, _, _, _, start = walls
+    alpha, beta, (_, _, _, start) = walls
     rule, (longest, looked, reproduced) = requested
     _, swings, between, memory, _, _, _ = rule
     costs, status, rows, complexes = out
@@ -764,7 +764,7 @@ def late_deviations(interval: Arrays, walls: Arrays, requested: Arrays, out: Arr
     step, _, curves, _ = interval
     since, longest, memory, share = requested
     largest, rows, delay = out
-    body = body_of(rows, len(walls[5]), delay, curves.shape[1])
+    body = body_of(rows, len(walls[2][3]), delay, curves.shape[1])
     _, z, line, moved, _ = body
     for n in range(len(largest)):
         begin(walls, n, body)
@@ -792,7 +792,7 @@ def rises(interval: Arrays, walls: Arrays, requested: Arrays, out: Arrays) -> No
     step, ends, curves, timing = interval
     levels, longest, between = requested
     time, rows, delay = out
-    body = body_of(rows, len(walls[5]), delay, curves.shape[1])
+    body = body_of(rows, len(walls[2][3]), delay, curves.shape[1])
     _, z, line, moved, curve = body
     for n in range(time.shape[2]):
         begin(walls, n, body)

@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.base.compiled import Constants
 from pipeline.loop.many_digits import as_exact, as_floats, many_digits, resolvent
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.trials import Floats
@@ -39,10 +40,17 @@ def by_eigenvectors(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> tuple[
     return pole, np.ascontiguousarray(state)
 
 
-def none(loop: NormalisedLoop) -> tuple[Complexes, Complexes]:
-    """Return empty arrays in place of `by_eigenvectors`. A march then computes the modes from polynomials."""
+@lru_cache(maxsize=64)
+def not_given(loop: NormalisedLoop) -> Constants:
+    """Return first poles and empty arrays in place of `by_eigenvectors`: a march computes modes from polynomials."""
     n = loop.states
-    return np.empty((0, n), np.complex128), np.empty((0, n, n), np.complex128)
+    return Constants((first_poles(loop), np.empty((0, n), np.complex128), np.empty((0, n, n), np.complex128)))
+
+
+@lru_cache(maxsize=64)
+def modal(loop: NormalisedLoop) -> Constants:
+    """Return `polynomials` and `hull`."""
+    return Constants((*polynomials(loop), hull(loop)))
 
 
 @lru_cache(maxsize=64)
@@ -75,16 +83,15 @@ def polynomials(loop: NormalisedLoop) -> tuple[Floats, ...]:
     if n > _LONGEST:
         return np.zeros(0), np.zeros((1, 1)), np.zeros((2, n, n)), *(np.zeros((1, 1)) for _ in range(2))
     with many_digits(loop.digits):
-        basis, turned = map(as_exact, own_basis(loop))
         none = as_exact(np.zeros((1, n)))
         determinant, inverse = resolvent(steps.free - as_exact(np.eye(n)))
         older, newer = (steps.gains[0], steps.gains[1] if len(steps.gains) > 1 else none[0])
         columns = np.concatenate([inverse @ (older + newer), none]) + np.concatenate([none, inverse @ newer])
         outputs = np.array([steps.position, steps.velocity])
-        rows = np.swapaxes(outputs @ inverse, 0, 1)
-        gains = np.array([older, newer])
-        parts = determinant, outputs @ columns.T, rows @ turned, columns @ basis.T, gains @ basis.T
-        return tuple(np.ascontiguousarray(as_floats(part)) for part in parts)
+        rows, gains, walls = np.swapaxes(outputs @ inverse, 0, 1), np.array([older, newer]), outputs @ columns.T
+    basis, turned = own_basis(loop)
+    parts = as_floats(rows) @ turned, as_floats(columns) @ basis.T, as_floats(gains) @ basis.T
+    return tuple(map(np.ascontiguousarray, (as_floats(determinant), as_floats(walls), *parts)))
 
 
 @lru_cache(maxsize=64)

@@ -7,6 +7,7 @@ fast lag settles. A polynomial of degree 12 through exact points therefore has a
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
+from pipeline.base.compiled import Constants
 from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, many_digits
 from pipeline.loop.normalised_loop import NormalisedLoop, moved
@@ -156,14 +158,19 @@ def _by_series(loop: NormalisedLoop, duration: float) -> tuple[Floats, Floats, F
     No digits cancel in a piece of at most one radian. The first power that is left out is below 1/24!.
     """
     device, n = loop.device, loop.device.states
-    rates, term = np.zeros((n + 1, n + 1)), np.eye(n + 1)
-    rates[:n, :n], rates[:n, n] = device.matrix * duration, device.command * duration
-    terms = [term]
-    for power in range(1, 2 * DEGREE):
-        term = term @ rates / power
-        terms.append(term)
-    whole, places = np.sum(terms[::-1], axis=0)[:n], device.sensor @ np.array(terms)[:, :n]
+    factor, powers = np.zeros((n + 1, n + 1)), np.eye(n + 1)[None]
+    factor[:n, :n], factor[:n, n] = device.matrix * duration, device.command * duration
+    while len(powers) < 2 * DEGREE:
+        powers, factor = np.concatenate([powers, powers @ factor]), factor @ factor
+    terms = powers[: 2 * DEGREE, :n] / _factorials()
+    whole, places = terms[::-1].sum(axis=0), device.sensor @ terms
     return whole[:, :n], whole[:, n], places[: DEGREE + 1] + _higher_powers(loop.digits) @ places[DEGREE + 1 :]
+
+
+@lru_cache(maxsize=1)
+def _factorials() -> Floats:
+    """Return the factorials of the powers of a series, shape (24, 1, 1)."""
+    return np.array([float(math.factorial(power)) for power in range(2 * DEGREE)])[:, None, None]
 
 
 @lru_cache(maxsize=4)
@@ -205,7 +212,7 @@ def _through(values: Digits) -> Digits:
 
 
 @lru_cache(maxsize=64)
-def interval_motion(loop: NormalisedLoop, between: bool) -> tuple[Floats, ...]:
+def interval_motion(loop: NormalisedLoop, between: bool) -> Constants:
     """Return the motion over a sampling interval, from own states and two forces, as an input of a march.
 
     Own states are the states without delayed forces, in the basis of `own_basis`. The wall forces in an interval are
@@ -242,7 +249,7 @@ def interval_motion(loop: NormalisedLoop, between: bool) -> tuple[Floats, ...]:
         curves = curves[:, :kept]
     for part in (step, ends, curves):
         part[..., :own] = part[..., :own] @ inverse
-    return tuple(np.ascontiguousarray(part) for part in (basis @ step, ends, curves, timing))
+    return Constants(np.ascontiguousarray(part) for part in (basis @ step, ends, curves, timing))
 
 
 @lru_cache(maxsize=64)

@@ -13,6 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from pipeline.base.compiled import Constants
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop, as_points
 from pipeline.records.criteria import DISCRETE, OVERSHOOT
@@ -152,17 +153,18 @@ def _followed(
     """Return costs and status of responses from `march.step_costs`, for the settings ``rule`` of a march."""
     alpha, beta = walls
     interval, count, n = interval_motion(loop, rule[2]), len(rule[0]), loop.states
-    modal, first = (*modes.polynomials(loop), modes.hull(loop)), modes.first_poles(loop)
+    modal = modes.modal(loop)
     costs, status = np.empty((len(alpha), 2 * count + 2)), np.empty(len(alpha), np.int64)
     work, together = (_rows(loop, count), np.empty((n + 3, n), np.complex128)), max(1, _ENTRIES // n**2)
     requested = rule, (longest, max(_FIRST, int(_LOOK * n**2)), modes.STILL_REPRODUCED)
     with np.errstate(all="ignore"):  # NaN modes are inconclusive
-        given = first, *modes.none(loop)
-        march.step_costs(interval, modal, _walls(loop, *walls), requested, given, (costs, status, *work))
+        march.step_costs(
+            interval, modal, _walls(loop, *walls), requested, modes.not_given(loop), (costs, status, *work)
+        )
         unknown = np.flatnonzero(status == march.NO_MODES)
         for part in (unknown[i : i + together] for i in range(0, len(unknown), together)):
             of_part, results = (alpha[part], beta[part]), (costs[part], status[part])
-            given = first, *modes.by_eigenvectors(loop, *of_part)
+            given = modes.first_poles(loop), *modes.by_eigenvectors(loop, *of_part)
             march.step_costs(interval, modal, _walls(loop, *of_part), requested, given, (*results, *work))
             costs[part], status[part] = results
     return costs, status
@@ -170,11 +172,11 @@ def _followed(
 
 def _walls(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Arrays:
     """Return walls, and what the laws, levers and initial states of all walls of a loop consist of."""
-    return alpha, beta, *_of_walls(loop)
+    return alpha, beta, _of_walls(loop)
 
 
 @lru_cache(maxsize=64)
-def _of_walls(loop: NormalisedLoop) -> Arrays:
+def _of_walls(loop: NormalisedLoop) -> Constants:
     """Return the part of `_walls` that all walls of a loop share.
 
     The largest effect of an own state on the position is 1, the lever (the longest time [samples] for which a velocity
@@ -191,7 +193,7 @@ def _of_walls(loop: NormalisedLoop) -> Arrays:
     effects[1, mechanical : loop.device.states] = loop.lag
     start = basis @ loop.starts(np.ones(1), "step")[0, :own]
     limits = loop.gamma, 8 * (loop.delay + loop.lag + 1), float(short)
-    return np.array(outputs)[:, :own] @ inverse, effects @ np.abs(inverse), limits, start
+    return Constants((np.array(outputs)[:, :own] @ inverse, effects @ np.abs(inverse), limits, start))
 
 
 def _rows(loop: NormalisedLoop, bands: int) -> Floats:

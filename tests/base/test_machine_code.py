@@ -59,6 +59,27 @@ def test_numbers_are_those_of_plain_python_and_numba_is_imported_once(printed, p
     assert printed(plain) == f"{expected} False"
 
 
+CONSTANT = """
+import sys, numpy as np, sums
+from pipeline.base.compiled import Constants
+table, out, turned = np.arange(6.0).reshape(3, 2), np.zeros(3), np.zeros(3, complex)
+given = Constants((table, (0.1, 7.0)))
+for _ in range(2):
+    sums.combine(given, (3, {plain}), out, turned)
+    print(out.tolist(), turned.tolist(), end=" ")
+    table[1] *= 3
+"""
+
+
+@pytest.mark.parametrize("plain", [True, False])
+def test_constants_are_passed_like_other_arguments(printed, plain):
+    found = printed(plain, CONSTANT)
+    assert found == printed(plain, CONSTANT, NUMBA_DISABLE_JIT="1")
+    assert found.count("]") == 4
+    first, second = found[: len(found) // 2], found[len(found) // 2 :]
+    assert first != second, "a number of an array may change"
+
+
 def test_a_damaged_file_is_compiled_again(printed, tmp_path):
     first = printed()
     (file,) = (tmp_path / "kept").glob("*.o")
