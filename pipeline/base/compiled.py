@@ -24,21 +24,6 @@ P = ParamSpec("P")
 R = TypeVar("R")
 F = TypeVar("F", bound=Callable[..., Any])
 
-
-class Constants(tuple[Any, ...]):
-    """Arguments that do not change. Their numbers and addresses are collected at the first call only.
-
-    The arrays may not be resized, and all functions that take them must have the same types for them.
-
-    Examples
-    --------
-    >>> Constants((1.0, 2.0)) == (1.0, 2.0)
-    True
-    """
-
-    words: list[Any] | None = None
-
-
 WAIT_S = 60.0
 """Longest wait for another process that compiles [s]. After this time, the function is compiled in memory."""
 

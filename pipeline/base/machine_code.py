@@ -21,7 +21,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from pipeline.base.compiled import Constants
+from pipeline.base.constants import Constants
 from pipeline.base.provenance import digest, sha256
 
 Function = Callable[..., Any]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
-from pipeline.base.compiled import Constants
+from pipeline.base.constants import Constants
 from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, many_digits
 from pipeline.loop.normalised_loop import NormalisedLoop, moved

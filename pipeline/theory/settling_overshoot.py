@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from pipeline.base.compiled import Constants
+from pipeline.base.constants import Constants
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop, as_points
 from pipeline.records.criteria import DISCRETE, OVERSHOOT

@@ -61,7 +61,7 @@ def test_numbers_are_those_of_plain_python_and_numba_is_imported_once(printed, p
 
 CONSTANT = """
 import sys, numpy as np, sums
-from pipeline.base.compiled import Constants
+from pipeline.base.constants import Constants
 table, out, turned = np.arange(6.0).reshape(3, 2), np.zeros(3), np.zeros(3, complex)
 given = Constants((table, (0.1, 7.0)))
 for _ in range(2):
