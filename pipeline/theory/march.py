@@ -45,7 +45,7 @@ Forces = tuple[float, float]
 INTERVAL = "Tuple((f8[:,::1],f8[:,::1],f8[:,:,::1],f8[:,::1]))"
 WALLS = "Tuple((f8[::1],f8[::1],Tuple((f8[:,::1],f8[:,::1],UniTuple(f8,3),f8[::1]))))"
 MODAL = "Tuple((f8[::1],f8[:,::1],f8[:,:,::1],f8[:,::1],f8[:,::1],f8[:,::1]))"
-RULE = "Tuple((f8[::1],b1,b1,i8,f8,f8,f8))"
+RULE = "Tuple((f8[::1],b1,b1,i8,f8,f8))"
 
 LAW, LEVERS, OWN, LINE, MOVED, CURVE, BEGUN, BEGUN_LINE, SETTLED, PEAK, CALM, START, FORCES, ENTRY = range(14)
 """Rows of the work array of a march. The rows from `ENTRY` on are for the entries into the bands, then for the view."""
@@ -56,8 +56,9 @@ MOVING, STILL, LATE = 0, 1, 2
 KNOWN, UNSETTLED, UNFINISHED, NO_MODES = 0, 1, 2, 4
 """Status of a response. It is complete, has no settling time, has no overshoot, or needs modes from eigenvectors."""
 
-CUTOFF_SAMPLES = 16
-"""Number of samples between two checks of the cutoff."""
+PATIENCE = 4
+"""Ratio of the numbers of samples before modes are computed, without and with overshoot. For settling alone, most
+responses are at rest or too late by then."""
 
 TURN_STEPS = 5
 """Number of Newton steps to a turning point from a guess within a piece of at most one radian. Each step doubles the
@@ -306,7 +307,7 @@ def march(
         if swings:
             small = min(small, max(share * peak[1], floor))
         calm[1] = calm[1] + 1 if largest <= small else 0
-        if calm[1] > memory or (k >= cutoff and k % CUTOFF_SAMPLES == 0 and abs(place) > widest > 0 and not swings):
+        if calm[1] > memory or (k >= cutoff and abs(place) > widest > 0 and not swings):
             break
     return k, STILL if calm[1] > memory else LATE if k < end else MOVING
 
@@ -662,7 +663,8 @@ def climb(interval: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, requeste
 
 
 @compiled(
-    f"void({INTERVAL},{MODAL},{WALLS},Tuple(({RULE},Tuple((i8,i8,f8)))),Tuple((c16[::1],c16[:,::1],c16[:,:,::1])),"
+    f"void({INTERVAL},{MODAL},{WALLS},Tuple(({RULE},f8[::1],Tuple((i8,i8,f8)))),"
+    "Tuple((c16[::1],c16[:,::1],c16[:,:,::1])),"
     "Tuple((f8[:,::1],i8[::1],f8[:,::1],c16[:,::1])))"
 )
 def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, requested: Arrays, given: Arrays, out: Arrays) -> None:
@@ -677,8 +679,9 @@ def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, requested: Arrays
     walls : tuple
         Result of `_walls`.
     requested : tuple
-        Settings of `march`; and the largest number of samples of a response, the number of samples before its modes are
-        used, and the largest difference between a state and its modes, relative to its motion.
+        Settings of `march` without cutoff; cutoff of each wall; and the largest number of samples of a response, the
+        number of samples before its modes are used, and the largest difference between a state and its modes, relative
+        to its motion.
     given : tuple
         Poles of some wall minus 1, from which the first search starts. Poles and states of modes, shapes (n, modes) and
         (n, modes, states), if polynomials do not provide them. Otherwise, n = 0.
@@ -688,10 +691,10 @@ def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, requested: Arrays
     """
     _, _, curves, timing = interval
     alpha, beta, (_, _, _, start) = walls
-    rule, (longest, looked, reproduced) = requested
-    _, swings, between, memory, _, _, _ = rule
+    common, cutoffs, (longest, looked, reproduced) = requested
+    _, swings, between, memory, _, _ = common
     costs, status, rows, complexes = out
-    later = rule[:6] + (math.inf,)  # noqa: RUF005 (numba)
+    later = common + (math.inf,)  # noqa: RUF005 (numba)
     own, count, states = len(start), costs.shape[1] // 2 - 1, complexes.shape[1]
     body = body_of(rows, own, states - own, curves.shape[1])
     _, z, line, _, curve = body
@@ -702,7 +705,8 @@ def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, requested: Arrays
     copy(given[0], guess)
     copy(guess, former)
     for n in range(len(alpha)):
-        wall = (alpha[n], beta[n])
+        wall, cutoff = (alpha[n], beta[n]), cutoffs[n]
+        rule = common + (cutoff,)  # noqa: RUF005 (numba)
         begin(walls, n, body)
         for i in range(states):
             initial[i] = start[i] if i < own else alpha[n]
@@ -710,7 +714,8 @@ def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, requested: Arrays
             settled[b], entry[b, 0] = 0.0, math.nan
         peak[0] = peak[1] = calm[0] = calm[1] = 0.0
         status[n], known, fades, tried, modes, k, how = KNOWN, False, False, False, states, 0, MOVING
-        k, how = march(interval, body, notes, (k, min(looked, longest), 0, count), rule)
+        first = looked if swings else PATIENCE * looked
+        k, how = march(interval, body, notes, (k, min(first, longest), 0, count), rule)
         while how == MOVING:
             if not tried:
                 if len(given[1]):
@@ -742,7 +747,7 @@ def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, requested: Arrays
             status[n] = UNFINISHED if how == MOVING and calm[0] > memory else UNSETTLED | UNFINISHED
         ahead = (state[:modes], view[:modes], k, longest)
         for b in range(count):
-            met = settle(interval, body, notes, ahead, later, b, rule[6]) if known else not status[n] & UNSETTLED
+            met = settle(interval, body, notes, ahead, later, b, cutoff) if known else not status[n] & UNSETTLED
             costs[n, b], costs[n, count + 1 + b] = settled[b] + 1 if met else math.nan, math.nan
             if between and met and entry[b, 0] >= 0:
                 j = int(entry[b, 1])

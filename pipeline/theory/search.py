@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -14,8 +15,9 @@ from pipeline.records.trials import Booleans, Floats, Integers
 from pipeline.theory.boundary import MARGIN, boundary, is_well_inside, limits, soft_interval
 from pipeline.theory.crossings import bisect
 
-Cost = Callable[[Floats, Floats, float], Floats]
-"""Cost of points. The last argument is the best known cost. The cost of worse points may be infinite."""
+Cost = Callable[[Floats, Floats, Any], Floats]
+"""Cost of points. The last argument is the best known cost, one or one for each point. The cost of worse points may be
+infinite."""
 
 
 @dataclass(frozen=True)
@@ -103,19 +105,20 @@ def where_stable(loop: NormalisedLoop, cost: Callable[..., Floats]) -> Callable[
     Arguments after the best known cost have one value per point.
     """
 
-    def guarded(alpha: Floats, beta: Floats, best: float, *more: Floats) -> Floats:
+    def guarded(alpha: Floats, beta: Floats, best: float | Floats, *more: Floats) -> Floats:
         return _cost_where(is_well_inside(loop, alpha, beta, islands=False), cost, alpha, beta, best, *more)
 
     return guarded
 
 
 def _cost_where(
-    is_usable: Booleans, cost: Callable[..., Floats], alpha: Floats, beta: Floats, best: float, *more: Floats
+    is_usable: Booleans, cost: Callable[..., Floats], alpha: Floats, beta: Floats, best: float | Floats, *more: Floats
 ) -> Floats:
     """Return the cost of usable points. It is infinite for other points, and where it is not defined."""
     result, usable = np.full(len(alpha), np.inf), np.flatnonzero(is_usable)
     if len(usable):
-        values = cost(alpha[usable], beta[usable], best, *(each[usable] for each in more))
+        limits = np.broadcast_to(best, alpha.shape)[usable]
+        values = cost(alpha[usable], beta[usable], limits, *(each[usable] for each in more))
         result[usable] = np.where(np.isnan(values), np.inf, values)
     return result
 
@@ -189,12 +192,12 @@ class Landscape:
     chart: Chart
     cost: Cost
 
-    def __call__(self, root: Floats, way: Floats, best: float) -> Floats:
+    def __call__(self, root: Floats, way: Floats, best: float | Floats) -> Floats:
         """Return the cost of points in these coordinates."""
         alpha, beta, inside = self.chart.wall(root, way)
         return _cost_where(inside & (way >= 0) & (way <= 1), self.cost, alpha, beta, best)
 
-    def along(self, way: Floats, line: Integers, root: Floats, best: float) -> Floats:
+    def along(self, way: Floats, line: Integers, root: Floats, best: float | Floats) -> Floats:
         """Return the cost at positions along lines. All points of a line have the same position along the outline."""
         return self(root, way[line], best)
 
@@ -378,9 +381,9 @@ def _distance(feasible: Cost, axis: int, sign: float, alpha: Floats, beta: Float
     return feasible(alpha, beta, best) + sign * (beta if axis else alpha)
 
 
-LineCost = Callable[[Integers, Floats, float], Floats]
+LineCost = Callable[[Integers, Floats, Any], Floats]
 """Cost of points given by the index of their line and their position on it. It is infinite if a point has no cost. The
-last argument is a cost. The cost of worse points may be infinite."""
+last argument is a cost, one or one for each point. The cost of worse points may be infinite."""
 
 COARSE = 121
 """Number of points of the first scan of a line."""
@@ -453,7 +456,8 @@ def search_lines(
             break
         around = centre[:, None] + half[:, None] * offsets
         enough = np.inf if dear is None else dear * min(known, best.min())
-        found = cost(np.repeat(line, _FINE), around.ravel(), float(min(best.max(), enough))).reshape(around.shape)
+        limit = np.repeat(np.minimum(best, enough), _FINE)
+        found = cost(np.repeat(line, _FINE), around.ravel(), limit).reshape(around.shape)
         index = found.argmin(axis=1)
         better = found[row, index] < best
         centre = np.where(better, around[row, index], centre)

@@ -57,7 +57,7 @@ def transient_costs(
     continuous: bool = True,
     longest: int = LONGEST,
     quiet: float = QUIET,
-    cutoff: float = np.inf,
+    cutoff: float | Floats = np.inf,
     unfinished_overshoot: bool = False,
 ) -> dict[str, Floats]:
     """Return the settling times and overshoots of the step responses of stable points.
@@ -78,7 +78,7 @@ def transient_costs(
     quiet : float
         Deviation below which a response without overshoot so far is no longer simulated. A map for a figure needs less
         accuracy than the default.
-    cutoff : float
+    cutoff : float, or float64 of shape (n,)
         Settling time [samples] above which a point is irrelevant, e.g. the best value of a search so far. The
         simulation of a response ends at this time if it is outside all bands.
     unfinished_overshoot : bool
@@ -100,8 +100,9 @@ def transient_costs(
         raise ParameterError("step responses require alpha + gamma > 0: without stiffness, there is no final position.")
     if any(not 0 < band < 1 for band in bands):
         raise ParameterError(f"bands = {list(bands)}: expected fractions between 0 and 1, such as 0.02.")
-    rule = np.array(bands, dtype=np.float64), overshoot, continuous, _memory(loop), _SETTLED, quiet, float(cutoff)
-    costs, status = _followed(loop, (a, b), rule, longest)
+    rule = np.array(bands, dtype=np.float64), overshoot, continuous, _memory(loop), _SETTLED, quiet
+    cutoffs = np.full(len(a), cutoff, dtype=np.float64)
+    costs, status = _followed(loop, (a, b), (rule, cutoffs), longest)
     if not unfinished_overshoot:
         costs[status & march.UNFINISHED > 0, len(bands) :: len(bands) + 1] = np.nan
     names = [f"settle_{100 * band:g}pct" for band in bands] + ["overshoot"]
@@ -148,22 +149,24 @@ def first_reached(
 
 
 def _followed(
-    loop: NormalisedLoop, walls: tuple[Floats, Floats], rule: Arrays, longest: int
+    loop: NormalisedLoop, walls: tuple[Floats, Floats], limits: tuple[Arrays, Floats], longest: int
 ) -> tuple[Floats, Integers]:
-    """Return costs and status of responses from `march.step_costs`, for the settings ``rule`` of a march."""
-    alpha, beta = walls
+    """Return costs and status of responses from `march.step_costs`, for the settings of a march and its cutoffs."""
+    (alpha, beta), (rule, cutoffs) = walls, limits
     interval, count, n = interval_motion(loop, rule[2]), len(rule[0]), loop.states
     modal = modes.modal(loop)
     costs, status = np.empty((len(alpha), 2 * count + 2)), np.empty(len(alpha), np.int64)
     work, together = (_rows(loop, count), np.empty((n + 3, n), np.complex128)), max(1, _ENTRIES // n**2)
-    requested = rule, (longest, max(_FIRST, int(_LOOK * n**2)), modes.STILL_REPRODUCED)
+    marched = (longest, max(_FIRST, int(_LOOK * n**2)), modes.STILL_REPRODUCED)
     with np.errstate(all="ignore"):  # NaN modes are inconclusive
+        requested = rule, cutoffs, marched
         march.step_costs(
             interval, modal, _walls(loop, *walls), requested, modes.not_given(loop), (costs, status, *work)
         )
         unknown = np.flatnonzero(status == march.NO_MODES)
         for part in (unknown[i : i + together] for i in range(0, len(unknown), together)):
             of_part, results = (alpha[part], beta[part]), (costs[part], status[part])
+            requested = rule, cutoffs[part], marched
             given = modes.first_poles(loop), *modes.by_eigenvectors(loop, *of_part)
             march.step_costs(interval, modal, _walls(loop, *of_part), requested, given, (*results, *work))
             costs[part], status[part] = results
