@@ -51,7 +51,7 @@ LAW, LEVERS, OWN, LINE, MOVED, CURVE, BEGUN, BEGUN_LINE, SETTLED, PEAK, CALM, ST
 """Rows of the work array of a march. The rows from `ENTRY` on are for the entries into the bands, then for the view."""
 
 MOVING, STILL, LATE = 0, 1, 2
-"""Ends of a march. It ends at its last sample, at rest, or at the cutoff outside all bands."""
+"""Ends of a march. It ends at its last sample, at rest, or because its cost is above the cutoff."""
 
 KNOWN, UNSETTLED, UNFINISHED, NO_MODES = 0, 1, 2, 4
 """Status of a response. It is complete, has no settling time, has no overshoot, or needs modes from eigenvectors."""
@@ -168,13 +168,25 @@ def begin(walls: Arrays, n: int, body: Arrays) -> None:
 
 
 @inlined
-def body_of(rows: Floats, own: int, delay: int, powers: int) -> Arrays:
+def body_of(rows: Floats, sizes: tuple[int, int], powers: int) -> Arrays:
     """Return the part of a work array that a march of a wall needs.
 
     It contains the work array with law and levers, own states ``z``, delayed forces ``line`` with that of sample k at k
     modulo the delay, and two work arrays.
     """
+    own, delay = sizes
     return rows, rows[OWN, :own], rows[LINE, :delay], rows[MOVED, :own], rows[CURVE, :powers]
+
+
+@inlined
+def notes_of(rows: Floats, sizes: tuple[int, int], count: int) -> Arrays:
+    """Return the records of a march in a work array.
+
+    For each band, the last sample outside (``settled``), and the interval, piece and start of the last entry into the
+    band (``entry``). ``peak`` is the largest deviation between samples and that of samples. ``calm`` counts the samples
+    for which all motion was small compared with the bands, and compared with bands and peak.
+    """
+    return rows[SETTLED, :count], rows[ENTRY : ENTRY + count, : 5 + sizes[0]], rows[PEAK, :2], rows[CALM, :2]
 
 
 @inlined
@@ -206,7 +218,10 @@ def turn_of(curve: Floats) -> float:
     share: float = curve[1] / (curve[1] - end)
     for _ in range(TURN_STEPS):
         _, slope, bend = motion_at(curve, share)
+        before = share
         share = min(max(share - slope / bend, 0.0), 1.0) if bend else share
+        if abs(share - before) <= LAST_STEP:
+            break
     return share
 
 
@@ -227,8 +242,24 @@ def passing(curve: Floats, level: float) -> float:
 
 
 @part
+def extreme_of(curves: Floats, j: int, z: Floats, forces: Forces, curve: Floats) -> float:
+    """Return the position at which the motion turns in a piece. It is rare, and not inlined into a march."""
+    curve_of(curves, j, z, forces, curve)
+    return motion_at(curve, turn_of(curve))[0]
+
+
+@part
+def note_entry(entry: Floats, place: tuple[int, int, float], z: Floats, forces: Forces) -> None:
+    """Record an entry into a band: interval, piece and level, and forces and own states at the start."""
+    entry[0], entry[1], entry[2] = place
+    entry[3], entry[4] = forces
+    for i in range(len(z)):
+        entry[5 + i] = z[i]
+
+
+@part
 def march(
-    interval: Arrays, body: Arrays, notes: Arrays, span: tuple[int, int, int, int], requested: Arrays
+    interval: Arrays, rows: Floats, sizes: tuple[int, int], span: tuple[int, int, int, int], requested: Arrays
 ) -> tuple[int, int]:
     """Simulate a response from one sample to another or until rest, and return the last sample and the kind of end.
 
@@ -236,17 +267,16 @@ def march(
     ----------
     interval : tuple
         Result of `interval_motion`.
-    body : tuple
-        Result of `body_of`.
-    notes : tuple
-        For each band, the last sample outside (``settled``), and the interval, piece and start of the last entry into
-        the band (``entry``). ``peak`` is the largest deviation between samples and that of samples. ``calm`` counts the
-        samples for which all motion was small compared with the bands, and compared with bands and peak.
+    rows : float64
+        Work array, see `body_of` and `notes_of`.
+    sizes : tuple of int
+        Number of own states, and delay.
     span : tuple of int
         First and last sample, first band to check, and the band after the last one to check.
     requested : tuple
         ``bands``, whether overshoot and motion between samples are requested, memory of the loop in samples, share of a
-        band or a peak below which motion is small, deviation that is not an overshoot, and cutoff.
+        band or a peak below which motion is small, deviation that is not an overshoot, and cutoff, which is a settling
+        time, or an overshoot if there are no bands.
 
     Notes
     -----
@@ -254,14 +284,18 @@ def march(
     response is therefore at rest if all motion was small for as long as the memory of the loop.
     """
     step, ends, curves, timing = interval
-    rows, z, line, moved, curve = body
-    settled, entry, peak, calm = notes
+    _, z, line, moved, curve = body_of(rows, sizes, curves.shape[1])
     bands, swings, between, memory, share, floor, cutoff = requested
-    own, first, (k, end, low, high) = len(z), (z[0], z[1], z[2]), span
+    settled, entry, peak, calm = notes_of(rows, sizes, len(bands))
+    first, (k, end, low, high) = (z[0], z[1], z[2]), span
     narrowest, widest = 1.0 / share, 0.0
     for b in range(low, high):
         narrowest, widest = min(narrowest, bands[b]), max(widest, bands[b])
-    at = k % len(line) if len(line) else 0
+    at, how, small = k % len(line) if len(line) else 0, MOVING, share * narrowest
+    late = math.ceil(cutoff) if cutoff < end and not swings else end + 1
+    ceiling = math.inf if len(bands) else cutoff
+    # numbers in registers, which are those of the arrays again at the end
+    highest, sampled, calm_of_bands, calm_of_all = peak[0], peak[1], calm[0], calm[1]
     place, speed, _ = first
     while k < end:
         forces, at = delayed(line, at, seen_by(rows, LAW, z, first))
@@ -273,43 +307,42 @@ def march(
             extreme = 0.0
             if between and (speed > 0) != (speed_after > 0):
                 reach = timing[1, j] * min(abs(speed), abs(speed_after))
-                turns = (swings or low == high) and speed > 0 and max(place, after) + reach > max(peak[1], floor)
+                turns = (swings or low == high) and speed > 0 and max(place, after) + reach > max(sampled, floor)
                 away = max(abs(place), abs(after)) + reach
                 for b in range(low, high):
                     turns = turns or abs(after) <= bands[b] < away
                 if turns:
-                    curve_of(curves, j, z, forces, curve)
-                    extreme = motion_at(curve, turn_of(curve))[0]
-                    peak[0] = max(peak[0], extreme)
+                    extreme = extreme_of(curves, j, z, forces, curve)
+                    highest = max(highest, extreme)
             for b in range(low, high):
                 # another march may have found a later entry
                 if abs(after) <= bands[b] < max(abs(place), abs(extreme)) and not k < entry[b, 0]:
-                    entry[b, 0], entry[b, 1] = k, j
-                    entry[b, 2] = math.copysign(bands[b], extreme if abs(extreme) > bands[b] else place)
-                    entry[b, 3], entry[b, 4] = forces
-                    for i in range(own):
-                        entry[b, 5 + i] = z[i]
+                    side = extreme if abs(extreme) > bands[b] else place
+                    note_entry(entry[b], (k, j, math.copysign(bands[b], side)), z, forces)
             place, speed = after, speed_after
             largest = max(largest, abs(place))
         first = begun_again(z, moved, following)
         k += 1
-        peak[1] = max(peak[1], place)
+        sampled = max(sampled, place)
         for b in range(low, high):
             if abs(place) > bands[b]:
                 settled[b] = k
-        small = share * narrowest
-        if largest <= small:
+        quiet = min(small, max(share * sampled, floor)) if swings else small
+        if largest <= (small if low < high else quiet):
             size = 0.0
-            for i in range(own):
+            for i in range(len(z)):
                 size += abs(z[i]) * rows[LEVERS, i]
             largest = max(largest, size)
-        calm[0] = calm[0] + 1 if largest <= small else 0
-        if swings:
-            small = min(small, max(share * peak[1], floor))
-        calm[1] = calm[1] + 1 if largest <= small else 0
-        if calm[1] > memory or (k >= cutoff and abs(place) > widest > 0 and not swings):
+        calm_of_bands = calm_of_bands + 1 if largest <= small else 0.0
+        calm_of_all = calm_of_all + 1 if largest <= quiet else 0.0
+        if calm_of_all > memory:
+            how = STILL
             break
-    return k, STILL if calm[1] > memory else LATE if k < end else MOVING
+        if (k >= late and abs(place) > widest > 0) or max(highest, sampled) > ceiling:
+            how = LATE
+            break
+    peak[0], peak[1], calm[0], calm[1] = highest, sampled, calm_of_bands, calm_of_all
+    return k, how
 
 
 @inlined
@@ -613,7 +646,7 @@ def settle(
     """
     state, view, since, longest = ahead
     rows, z, line, _, _ = body
-    settled, _, _, calm = notes
+    settled, calm = notes
     last, window = math.ceil(envelope_end(view, requested[0][b], since)), WINDOW_SAMPLES
     if last > cutoff > since:
         moved_to(math.ceil(cutoff), state, view, body)
@@ -629,7 +662,7 @@ def settle(
         if abs(z[0]) > requested[0][b]:
             settled[b] = first
         calm[0] = calm[1] = 0.0
-        march(interval, body, notes, (first, last, b, b + 1), requested)
+        march(interval, rows, (len(z), len(line)), (first, last, b, b + 1), requested)
         if settled[b] >= first or first <= since:
             return True
         last, window = first, 2 * window
@@ -644,7 +677,7 @@ def climb(interval: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, requeste
     """
     state, view, k, longest = ahead
     rows, z, line, _, _ = body
-    _, _, peak, calm = notes
+    peak, calm = notes
     copy(rows[BEGUN], z)
     copy(rows[BEGUN_LINE], line)
     last = longest + k
@@ -656,9 +689,10 @@ def climb(interval: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, requeste
             k, last = k + int(free), last + int(free)
             moved_to(k, state, view, body)
         calm[0] = calm[1] = 0.0
-        k, how = march(interval, body, notes, (k, min(k + CLIMB_SAMPLES, last), 0, 0), requested)
-        if how == STILL:
-            return True
+        span = (k, min(k + CLIMB_SAMPLES, last), 0, 0)
+        k, how = march(interval, rows, (len(z), len(line)), span, requested)
+        if how != MOVING:
+            return how == STILL
     return False
 
 
@@ -696,10 +730,10 @@ def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, requested: Arrays
     costs, status, rows, complexes = out
     later = common + (math.inf,)  # noqa: RUF005 (numba)
     own, count, states = len(start), costs.shape[1] // 2 - 1, complexes.shape[1]
-    body = body_of(rows, own, states - own, curves.shape[1])
+    sizes = (own, states - own)
+    body = body_of(rows, sizes, curves.shape[1])
     _, z, line, _, curve = body
-    settled, entry, peak, calm = rows[SETTLED, :count], rows[ENTRY : ENTRY + count], rows[PEAK, :2], rows[CALM, :2]
-    notes = settled, entry, peak, calm
+    settled, entry, peak, calm = notes_of(rows, sizes, count)
     initial, forces, view = rows[START, :states], rows[FORCES, : own + 1], rows[ENTRY + count :]
     guess, former, pole, state = complexes[0], complexes[1], complexes[2], complexes[3:]
     copy(given[0], guess)
@@ -715,7 +749,7 @@ def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, requested: Arrays
         peak[0] = peak[1] = calm[0] = calm[1] = 0.0
         status[n], known, fades, tried, modes, k, how = KNOWN, False, False, False, states, 0, MOVING
         first = looked if swings else PATIENCE * looked
-        k, how = march(interval, body, notes, (k, min(first, longest), 0, count), rule)
+        k, how = march(interval, rows, sizes, (k, min(first, longest), 0, count), rule)
         while how == MOVING:
             if not tried:
                 if len(given[1]):
@@ -739,7 +773,7 @@ def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, requested: Arrays
             known = fades and agrees(state[:modes], view[:modes], body, k, reproduced)
             if known or k >= longest:
                 break
-            k, how = march(interval, body, notes, (k, min(2 * k, longest), 0, count), rule)
+            k, how = march(interval, rows, sizes, (k, min(2 * k, longest), 0, count), rule)
         if known:
             copy(z, rows[BEGUN, :own])
             copy(line, rows[BEGUN_LINE, : len(line)])
@@ -747,13 +781,15 @@ def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, requested: Arrays
             status[n] = UNFINISHED if how == MOVING and calm[0] > memory else UNSETTLED | UNFINISHED
         ahead = (state[:modes], view[:modes], k, longest)
         for b in range(count):
-            met = settle(interval, body, notes, ahead, later, b, cutoff) if known else not status[n] & UNSETTLED
+            met = (
+                settle(interval, body, (settled, calm), ahead, later, b, cutoff) if known else not status[n] & UNSETTLED
+            )
             costs[n, b], costs[n, count + 1 + b] = settled[b] + 1 if met else math.nan, math.nan
             if between and met and entry[b, 0] >= 0:
                 j = int(entry[b, 1])
-                curve_of(curves, j, entry[b, 5 : 5 + own], (entry[b, 3], entry[b, 4]), curve)
+                curve_of(curves, j, entry[b, 5:], (entry[b, 3], entry[b, 4]), curve)
                 costs[n, count + 1 + b] = entry[b, 0] + timing[0, j] + passing(curve, entry[b, 2]) * timing[1, j]
-        if known and swings and not climb(interval, body, notes, ahead, later):
+        if known and swings and not climb(interval, body, (peak, calm), ahead, rule):
             status[n] |= UNFINISHED
         costs[n, count], costs[n, 2 * count + 1] = peak[1], max(peak[0], peak[1])
 
@@ -769,7 +805,7 @@ def late_deviations(interval: Arrays, walls: Arrays, requested: Arrays, out: Arr
     step, _, curves, _ = interval
     since, longest, memory, share = requested
     largest, rows, delay = out
-    body = body_of(rows, len(walls[2][3]), delay, curves.shape[1])
+    body = body_of(rows, (len(walls[2][3]), delay), curves.shape[1])
     _, z, line, moved, _ = body
     for n in range(len(largest)):
         begin(walls, n, body)
@@ -797,7 +833,7 @@ def rises(interval: Arrays, walls: Arrays, requested: Arrays, out: Arrays) -> No
     step, ends, curves, timing = interval
     levels, longest, between = requested
     time, rows, delay = out
-    body = body_of(rows, len(walls[2][3]), delay, curves.shape[1])
+    body = body_of(rows, (len(walls[2][3]), delay), curves.shape[1])
     _, z, line, moved, curve = body
     for n in range(time.shape[2]):
         begin(walls, n, body)

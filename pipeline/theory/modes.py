@@ -101,11 +101,14 @@ def hull(loop: NormalisedLoop) -> Floats:
     They map own states and two forces (`interval_motion`). The position is between the smallest and the largest one.
     """
     curves = interval_motion(loop, True)[2]
-    # a raised degree moves the coefficients closer to the curve
     return np.ascontiguousarray((_bernstein(curves.shape[1]) @ curves).reshape(-1, curves.shape[2]))
 
 
 @lru_cache(maxsize=DEGREE + 1)
 def _bernstein(powers: int) -> Floats:
-    """Return the matrix that converts coefficients, lowest power first, to the Bernstein basis of degree 12."""
-    return np.array([[math.comb(j, i) / math.comb(DEGREE, i) for i in range(powers)] for j in range(DEGREE + 1)])
+    """Return the matrix that converts coefficients, lowest power first, to a Bernstein basis of about twice the degree.
+
+    A raised degree moves the coefficients closer to the curve.
+    """
+    degree = min(2 * powers, DEGREE)
+    return np.array([[math.comb(j, i) / math.comb(degree, i) for i in range(powers)] for j in range(degree + 1)])

@@ -439,7 +439,7 @@ class CleanRegion:
         if self.at_all:
             none = never_overshoots(self.loop, alpha, beta, continuous=self.continuous)
         else:
-            costs = transient_costs(self.loop, alpha, beta, (), continuous=self.continuous)
+            costs = transient_costs(self.loop, alpha, beta, (), continuous=self.continuous, cutoff=NO_OVERSHOOT)
             none = costs["overshoot" if self.continuous else "overshoot_discrete"] <= NO_OVERSHOOT
         return np.where(none, 0.0, np.inf)
 
@@ -537,7 +537,9 @@ def never_overshoots(loop: NormalisedLoop, alpha: object, beta: object, *, conti
     slow_is_real = np.flatnonzero(result)
     if len(slow_is_real):
         name = "overshoot" if continuous else "overshoot_discrete"
-        costs = transient_costs(loop, a[slow_is_real], b[slow_is_real], (), continuous=continuous, quiet=_FAINT)
+        costs = transient_costs(
+            loop, a[slow_is_real], b[slow_is_real], (), continuous=continuous, quiet=_FAINT, cutoff=0.0
+        )
         result[slow_is_real] = costs[name] == 0
     return result
 

@@ -80,7 +80,7 @@ def transient_costs(
         accuracy than the default.
     cutoff : float, or float64 of shape (n,)
         Settling time [samples] above which a point is irrelevant, e.g. the best value of a search so far. The
-        simulation of a response ends at this time if it is outside all bands.
+        simulation of a response ends at this time if it is outside all bands. Without bands, it is an overshoot.
     unfinished_overshoot : bool
         Whether points that still move after ``longest`` samples have the overshoot up to this time instead of none.
 
