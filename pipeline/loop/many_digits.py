@@ -62,6 +62,12 @@ def value_at(polynomial: Digits, x: Decimal) -> Decimal:
     return value
 
 
+@lru_cache(maxsize=64)
+def unit(size: int) -> Digits:
+    """Return the unit matrix."""
+    return as_exact(np.eye(size))
+
+
 def resolvent(matrix: Digits) -> tuple[Digits, Digits]:
     """Return determinant and adjugate of x - matrix as polynomials in x, shapes (n + 1,) and (n, n, n).
 
@@ -69,7 +75,7 @@ def resolvent(matrix: Digits) -> tuple[Digits, Digits]:
 
     Source: Faddeev and LeVerrier.
     """
-    one = as_exact(np.eye(len(matrix)))
+    one = unit(len(matrix))
     adjugate, determinant = [one], [Decimal(1)]
     for k in range(1, len(matrix) + 1):
         if k > 1:
@@ -86,7 +92,7 @@ def exponential(matrix: Digits, digits: int) -> Digits:
     """
     norm = float(np.abs(matrix).sum(axis=1).max())
     halvings = max(0, int(np.ceil(np.log2(norm / _SMALL)))) if norm > 0 else 0
-    part, unit = matrix / Decimal(2) ** halvings, as_exact(np.eye(len(matrix)))
+    part, one = matrix / Decimal(2) ** halvings, unit(len(matrix))
     bits = math.ceil((digits + halvings) * math.log2(10))
     bottom = [int(c * (1 << bits)) for c in resolvent(part)[0][:-1]]
     sums = term = [1 << bits] + [0] * (len(bottom) - 1)
@@ -96,7 +102,7 @@ def exponential(matrix: Digits, digits: int) -> Digits:
         sums = [a + b for a, b in zip(sums, term, strict=True)]
         if max(map(abs, term)) <= 1:
             break
-    powers: list[Digits] = [Decimal(factor) / (1 << bits) * unit for factor in reversed(sums)]
+    powers: list[Digits] = [Decimal(factor) / (1 << bits) * one for factor in reversed(sums)]
     result = powers[0]
     for power in powers[1:]:
         result = result @ part + power

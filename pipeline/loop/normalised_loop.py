@@ -19,7 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.many_digits import Digits, as_exact, as_floats, bilinear, exponential, many_digits, resolvent, total
+from pipeline.loop.many_digits import (
+    Digits,
+    as_exact,
+    as_floats,
+    bilinear,
+    exponential,
+    many_digits,
+    resolvent,
+    total,
+    unit,
+)
 from pipeline.loop.state_space import Plant, StateSpace, plant_of, state_space
 from pipeline.loop.velocity_filter import filter_in_w, filter_in_z, filter_order, filter_steps, per_sample
 from pipeline.records.trials import Floats
@@ -384,7 +394,7 @@ def moved(plant: Plant, duration: float, digits: int) -> tuple[Digits, Digits]:
 def pushes(plant: Plant, durations: tuple[float, ...], digits: int) -> tuple[Digits, tuple[Digits, ...]]:
     """Return the transition over segments of an interval, and the input gain of the force in each segment."""
     with many_digits(digits):
-        whole = as_exact(np.eye(state_space(plant).states))
+        whole = unit(state_space(plant).states)
         gains: list[Digits] = []
         for transition, gain in (moved(plant, duration, digits) for duration in durations):
             whole = transition @ whole

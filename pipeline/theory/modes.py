@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.constants import Constants
-from pipeline.loop.many_digits import as_exact, as_floats, many_digits, resolvent
+from pipeline.loop.many_digits import as_exact, as_floats, many_digits, resolvent, unit
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.trials import Floats
 from pipeline.theory.motion import DEGREE, interval_motion, own_basis
@@ -84,7 +84,7 @@ def polynomials(loop: NormalisedLoop) -> tuple[Floats, ...]:
         return np.zeros(0), np.zeros((1, 1)), np.zeros((2, n, n)), *(np.zeros((1, 1)) for _ in range(2))
     with many_digits(loop.digits):
         none = as_exact(np.zeros((1, n)))
-        determinant, inverse = resolvent(steps.free - as_exact(np.eye(n)))
+        determinant, inverse = resolvent(steps.free - unit(n))
         older, newer = (steps.gains[0], steps.gains[1] if len(steps.gains) > 1 else none[0])
         columns = np.concatenate([inverse @ (older + newer), none]) + np.concatenate([none, inverse @ newer])
         outputs = np.array([steps.position, steps.velocity])
