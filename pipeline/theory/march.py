@@ -218,10 +218,7 @@ def turn_of(curve: Floats) -> float:
     share: float = curve[1] / (curve[1] - end)
     for _ in range(TURN_STEPS):
         _, slope, bend = motion_at(curve, share)
-        before = share
         share = min(max(share - slope / bend, 0.0), 1.0) if bend else share
-        if abs(share - before) <= LAST_STEP:
-            break
     return share
 
 
