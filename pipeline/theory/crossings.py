@@ -789,40 +789,22 @@ def turning_dampings(loop: NormalisedLoop) -> Floats:
 
 
 @inlined
-def expected(known: Floats, c: int, beta: float) -> tuple[float, float]:
-    """Return the place in a cell at which beta is expected, and its slope there, from the last two solutions.
-
-    A polynomial of degree three has their places and slopes. The result is NaN if there are no two solutions.
-    """
-    away, width = beta - known[1, c], known[1, c] - known[4, c]
-    rate, mean = 1 / known[2, c], (known[0, c] - known[3, c]) / width
-    bend = (rate - mean) / width
-    change = (bend - (mean - 1 / known[5, c]) / width) / width
-    place = known[0, c] + away * (rate + away * (bend + change * (away + width)))
-    return place, 1 / (rate + away * (2 * bend + change * (3 * away + 2 * width)))
-
-
-@inlined
 def solved(
-    polynomials: Floats,
-    delay: int,
-    cell: tuple[float, float, float, float],
-    beta: float,
-    first: tuple[float, float],
+    polynomials: Floats, delay: int, cell: tuple[float, float, float, float], beta: float, first: float
 ) -> tuple[float, float, float]:
     """Return the place within a cell at which beta has a given value, alpha there, and the slope of beta.
 
-    Newton's method starts from the given place and slope, or from an interpolation in s. If a step leaves the bracket,
-    bisection replaces it.
+    Newton's method starts from the given place, or from an interpolation in s. If a step leaves the bracket, bisection
+    replaces it.
     """
     low, high, beta_low, beta_high = cell
     share = (beta - beta_low) / (beta_high - beta_low)
-    place, slope = first
+    place = first
     if not low < place < high:
         place = high + math.log(math.exp(low - high) - share * math.expm1(low - high))
     if not low < place < high:  # bisection at an infinite end
         place = 0.5 * (low + high)
-    alpha = 0.0
+    alpha, slope = 0.0, 0.0
     for number in range(MAX_STEPS):
         inverse, rate, inverse_slope, rate_slope = on_circle_at(polynomials, delay, place)
         there, former = inverse.imag / rate.imag, slope
@@ -849,7 +831,7 @@ def count_intervals(
     """Find the stable intervals of alpha at each beta by counting unstable poles, from a stiff wall downwards.
 
     ``about`` contains the delay, the number of unstable poles of an infinitely stiff wall, -gamma, and whether a mode
-    is undamped. ``out`` contains the last two solutions of each cell (6, cells), events (4, cells + lines + 1), and the
+    is undamped. ``out`` contains the last solution of each cell (3, cells), events (4, cells + lines + 1), and the
     resulting intervals: index of beta, both ends, their places, and a number for the pair of branches that bound it.
     """
     delay, unstable, line, lossless = about
@@ -867,10 +849,9 @@ def count_intervals(
                 if (cells[2, c] < beta) == (cells[3, c] < beta):
                     continue
                 cell = (cells[0, c], cells[1, c], cells[2, c], cells[3, c])
-                place, alpha, slope = solved(polynomials, delay, cell, beta, expected(known, c, beta))
+                first = known[0, c] + (beta - known[1, c]) / known[2, c]
+                place, alpha, slope = solved(polynomials, delay, cell, beta, first)
                 gain = cells[4, c]
-                for row in range(3):
-                    known[row + 3, c] = known[row, c]
                 known[0, c], known[1, c], known[2, c] = place, beta, slope
             if not (math.isfinite(alpha) and alpha >= line):
                 continue
@@ -939,7 +920,7 @@ def stable_intervals(loop: NormalisedLoop, beta: Floats) -> StableIntervals:
 def _counted_intervals(loop: NormalisedLoop, b: Branches, beta: Floats) -> StableIntervals:
     cells = b.cells.shape[1]
     most = cells + b.lines.shape[1] + 1
-    out = np.full((6, cells), np.nan), np.empty((4, most)), np.empty((len(beta) * most, 6))
+    out = np.full((3, cells), np.nan), np.empty((4, most)), np.empty((len(beta) * most, 6))
     count, about = np.zeros(1, np.int64), (loop.oldest_force, b.unstable, -loop.gamma, _has_no_loss(loop))
     count_intervals(rounded(loop.sampled), about, b.cells, b.lines, np.ascontiguousarray(beta), out, count)
     index, low, high, low_at, high_at, bounds = out[2][: count[0]].T.copy()
