@@ -10,7 +10,8 @@ from independent import characteristic, extreme_cases, random_loops, stable_by_s
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.theory.boundary import boundary
+from pipeline.records.trials import Booleans, Floats
+from pipeline.theory.boundary import Boundary, boundary
 from pipeline.theory.poles import is_stable, spectral_radius
 
 ORDINARY = [(0, 0, 0), (0, 0, 1), (0.001, 0.02, 2), (0, 0, 0.5), (1e-3, 0.1, 2.75), (0, 0, 16), (0, 10, 2), (0, 0, 64)]
@@ -91,28 +92,44 @@ def test_the_line_without_stiffness_is_not_stable(loop: NormalisedLoop) -> None:
     assert not is_stable(loop, -loop.gamma, beta).any()
 
 
+def beside_islands(border: Boundary, alpha: Floats, beta: Floats, steps: tuple[float, float]) -> Booleans:
+    """Whether each point is farther from all islands than the steps of a grid in alpha and beta."""
+    if not len(border.islands):
+        return np.ones(alpha.shape, dtype=bool)
+    island, low, high = border.islands[np.argsort(border.islands[:, 0])].T
+    near = np.abs(beta.ravel()[:, None] - island) <= steps[1]
+    inside = (low - steps[0] <= alpha.ravel()[:, None]) & (alpha.ravel()[:, None] <= high + steps[0])
+    between = (island[0] <= beta) & (beta <= island[-1])
+    between &= np.interp(beta, island, low) - steps[0] <= alpha
+    between &= alpha <= np.interp(beta, island, high) + steps[0]
+    return np.asarray(~((near & inside).any(axis=1).reshape(alpha.shape) | between))
+
+
 @pytest.mark.sampled
 @pytest.mark.parametrize("values", [*ORDINARY, *RESONANT, *UNDELAYED])
 def test_extremes_against_a_dense_grid_of_verdicts(values: tuple[float, float, float]) -> None:
     loop = NormalisedLoop.ideal(*values)
     border = boundary(loop)
-    width, height = border.alpha_max + loop.gamma, border.beta_max - border.beta.min()
+    lowest = float(np.nanmin(border.beta))
+    width, height = border.alpha_max + loop.gamma, border.beta_max - lowest
     size = 80 if loop.states < 30 else 24
     # the grid reaches beyond the region on all sides, so that a part that was missed would be seen
     alpha, beta = np.meshgrid(
-        -loop.gamma + width * np.linspace(1e-3, 1.5, size), border.beta.min() + height * np.linspace(-0.5, 1.5, size)
+        -loop.gamma + width * np.linspace(1e-3, 1.5, size), lowest + height * np.linspace(-0.5, 1.5, size)
     )
-    stable = is_stable(loop, alpha.ravel(), beta.ravel()).reshape(alpha.shape)
+    steps = float(alpha[0, 1] - alpha[0, 0]), float(beta[1, 0] - beta[0, 0])
+    stable = is_stable(loop, alpha.ravel(), beta.ravel()).reshape(alpha.shape) & beside_islands(
+        border, alpha, beta, steps
+    )
     assert stable.any()
     assert alpha[stable].max() <= border.alpha_max * (1 + 1e-8)
     assert beta[stable].max() <= border.beta_max + 1e-6 * height
-    assert beta[stable].min() >= min(border.beta.min(), -loop.delta) - 1e-2 * height
+    assert beta[stable].min() >= min(lowest, -loop.delta) - 1e-2 * height
     near = -loop.gamma + width * (1 - 1e-6)
     assert is_stable(loop, near, border.beta_at_alpha_max + height * np.linspace(-1e-5, 1e-5, 201)).any()
-    beyond = -loop.gamma + width * (1 + 1e-6)
-    assert not is_stable(
-        loop, beyond, border.beta.min() + height * np.linspace(-0.5, 1.5, 401 if size > 30 else 41)
-    ).any()
+    others = lowest + height * np.linspace(-0.5, 1.5, 401 if size > 30 else 41)
+    beyond = np.full(len(others), -loop.gamma + width * (1 + 1e-6))
+    assert not (is_stable(loop, beyond, others) & beside_islands(border, beyond, others, steps)).any()
 
 
 @pytest.mark.parametrize("values", [*ORDINARY, *RESONANT, *UNDELAYED])
