@@ -99,7 +99,9 @@ def beside_islands(border: Boundary, alpha: Floats, beta: Floats, steps: tuple[f
     island, low, high = border.islands[np.argsort(border.islands[:, 0])].T
     near = np.abs(beta.ravel()[:, None] - island) <= steps[1]
     inside = (low - steps[0] <= alpha.ravel()[:, None]) & (alpha.ravel()[:, None] <= high + steps[0])
-    between = (island[0] <= beta) & (beta <= island[-1])
+    place = np.clip(np.searchsorted(island, beta), 1, max(len(island) - 1, 1))
+    # rows of one island are closer than two islands
+    between = (island[0] <= beta) & (beta <= island[-1]) & (np.append(np.diff(island), np.inf)[place - 1] < 1.0)
     between &= np.interp(beta, island, low) - steps[0] <= alpha
     between &= alpha <= np.interp(beta, island, high) + steps[0]
     return np.asarray(~((near & inside).any(axis=1).reshape(alpha.shape) | between))
