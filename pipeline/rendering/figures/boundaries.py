@@ -267,12 +267,14 @@ def boundary_figures(
 
 
 def _straight(bound: PublishedBound, beside: Sequence[Series]) -> Series:
-    """Return a published straight bound as a line from the stiffest limit to the largest damping."""
+    """Return a published straight bound as a line from the stiffest limit to the largest damping, or to K = 0."""
     stiffest = max((float(np.nanmax(s.x)) for s in beside if np.isfinite(s.x).any()), default=bound.stiffness)
     last = max((float(np.nanmax(s.y)) for s in beside if np.isfinite(s.y).any()), default=0.0)
-    damping = np.array([max((stiffest - bound.stiffness) / bound.slope, 0.0), last])
+    damping = np.array(
+        [max((stiffest - bound.stiffness) / bound.slope, 0.0), min(last, -bound.stiffness / bound.slope)]
+    )
     label = f"K \u2264 {bound.stiffness:g} \N{MINUS SIGN} {-bound.slope:g} B ({bound.equation})"
-    return Series(label, "linear", np.maximum(bound.stiffness + bound.slope * damping, 0.0), damping)
+    return Series(label, "linear", bound.stiffness + bound.slope * damping, damping)
 
 
 def _over_each_other(

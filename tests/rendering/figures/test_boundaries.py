@@ -220,6 +220,16 @@ def test_a_printed_bound_is_a_line_from_the_stiffest_wall_on() -> None:
     assert "(6.5)" in line.label
 
 
+def test_a_printed_bound_ends_where_its_stiffness_is_zero() -> None:
+    """A line to K = 0 at a larger damping would have another slope."""
+    beyond = BoundaryPoint(damping=340, stable=100, unstable=None, censored=True)
+    wide, printed = experiment("1").model_copy(update={"boundary": (beyond,)}), published_bound("falcon")
+    (all_, *_) = boundary_figures([wide], {}, "translation", Shown(), sweep=False, printed=printed)
+    (line,) = (s for s in all_.panels[0].series if s.kind == "linear")
+    assert line.y[-1] == pytest.approx(38000 / 230)
+    np.testing.assert_allclose(line.x, 38000 - 230 * line.y, atol=1e-9)
+
+
 def test_theory_is_drawn_at_the_ends_of_a_jittering_delay_in_colours_of_no_experiment() -> None:
     loop = Loop(0.58, 4.0, 0.001, 4.0, jitter_samples=(3, 4, 5))
     theories = {"1": Theory(SourcedLoop(loop=loop, source="device file falcon"))}
