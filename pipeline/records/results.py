@@ -687,9 +687,28 @@ class MeasuredExperiment(Record):
 
     @property
     def stiffest(self) -> BoundaryPoint | None:
-        """Limit with the largest stable stiffness, or None if no trial is stable."""
-        known = [point for point in self.boundary if point.stable is not None]
-        return max(known, key=lambda point: (point.stable, point.damping), default=None)
+        """Damping with the largest limit, or None if no limit is known."""
+        known = [(limit.stiffness, point) for point in self.boundary if (limit := point.limit)]
+        return max(known, key=lambda pair: (pair[0], pair[1].damping))[1] if known else None
+
+    @property
+    def largest_limit(self) -> Limit | None:
+        """Largest limit over the tested dampings, with its 95 % interval, or None if no limit is known.
+
+        Each limit bounds the largest one from below. It therefore lies between the largest lower end and the largest
+        upper end of the limits, at whichever damping it is.
+        """
+        point, known = self.stiffest, [limit for each in self.boundary if (limit := each.limit)]
+        if point is None or (largest := point.limit) is None:
+            return None
+        return Limit(
+            damping=point.damping,
+            stiffness=largest.stiffness,
+            low=max(limit.low for limit in known),
+            high=max(limit.high for limit in known),
+            censored=largest.censored,
+            stiffness_large_motion=point.stiffness_large_motion,
+        )
 
 
 MassSource = Literal["device file", "weighed"]

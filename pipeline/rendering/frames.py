@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.device.parameters import MOTIONS, unit_of
 from pipeline.records.criteria import criterion_of
-from pipeline.records.findings import BoundaryPoint, DampingRange, NearOptimum, Optimum, Quantity, Record
+from pipeline.records.findings import DampingRange, NearOptimum, Optimum, Quantity, Record
 from pipeline.records.models import ComparisonRow, Deviation, Motion
 from pipeline.records.results import ComparisonResult, ExperimentNumbers
 from pipeline.records.tables import COLUMNS, unit_of_column
@@ -239,9 +239,9 @@ def _trend(results: Sequence[ExperimentNumbers], motion: Motion) -> Iterator[Row
     keys = differing_lines(results)
     for e in in_order(results, keys) if keys else ():
         about = {"experiment": e.experiment, "line": ", ".join(f"{key}: {line_text(e, key)}" for key in keys)}
-        point = e.stiffest
-        if point is not None:
-            limit = {"value": limit_of(point), "low": point.low, "high": point.high, "bound": point.censored}
+        if (largest := e.largest_limit) is not None:
+            high = None if largest.censored else largest.high
+            limit = {"value": largest.stiffness, "low": largest.low, "high": high, "bound": largest.censored}
             unit = units_of(("stiffness",), {motion})["stiffness"]
             yield {**about, "quantity": "stiffest limit", "unit": unit, **limit}
         for name in ("delay_samples", "mass", "damping"):
@@ -282,11 +282,3 @@ def _date(text: str) -> str:
         return datetime.fromisoformat(text.removesuffix(" …")).isoformat()
     except ValueError:
         return ""
-
-
-def limit_of(point: BoundaryPoint) -> float | None:
-    """Return the limit at a damping.
-
-    It comes from the growth rates if they determine it. Otherwise, it is the largest stable stiffness.
-    """
-    return point.stable if point.censored or point.estimate is None else point.estimate

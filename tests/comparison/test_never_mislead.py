@@ -150,7 +150,7 @@ def test_stable_with_friction_is_said_of_the_step_with_the_limit_of_large_motion
         limit = np.interp(point.damping, edge["damping"], edge["stiffness"])
         assert point.stiffness_large_motion == pytest.approx(limit, rel=0.02)
     best = found.stiffest
-    assert best.stiffness_large_motion < best.stable
+    assert best.stiffness_large_motion < best.limit.stiffness
     assert result.answer.predicts.code in ("with_friction", "unknown")
     (told,) = [each for each in result.answer.estimates if each.name == "stiffness_max"]
     assert told.large_motion == best.stiffness_large_motion

@@ -201,20 +201,19 @@ def _estimates(result: ExperimentNumbers, units: Units, *, limit: bool) -> tuple
             unit = unit_text(estimate.unit)
             low, high = ends
             found.append(AnswerEstimate(name=name, value=estimate.value, low=low, high=high, unit=unit, reason=reason))
-    point = result.stiffest
-    if point is not None and limit:
-        of = point.limit
+    point, largest = result.stiffest, result.largest_limit
+    if point is not None and largest is not None and limit:
         found.append(
             AnswerEstimate(
                 name="stiffness_max",
-                value=of.stiffness if of else point.stable or 0.0,
-                low=point.low or point.stable,
-                high=None if of is None or of.censored else of.high,
+                value=largest.stiffness,
+                low=largest.low,
+                high=None if largest.censored else largest.high,
                 unit=units.stiffness,
-                large_motion=point.stiffness_large_motion,
-                damping=point.damping,
+                large_motion=largest.stiffness_large_motion,
+                damping=largest.damping,
                 at_last_damping=_ends_at_last_damping(result),
-                bracketed=point.low is None and point.stable is not None and point.unstable is not None,
+                bracketed=(largest.low, largest.high) == (point.stable, point.unstable),
             )
         )
     replay = result.replay
@@ -461,14 +460,14 @@ def _beyond_tested_dampings(result: ExperimentNumbers, campaign: Campaign, comma
 
     It is None also if no device is identified, or if it predicts no larger limit there.
     """
-    damping, largest = _untested_damping(result), result.stiffest
-    if damping is None or campaign.found is None or largest is None or largest.limit is None:
+    damping, largest = _untested_damping(result), result.largest_limit
+    if damping is None or campaign.found is None or largest is None:
         return None
     if not _ends_at_last_damping(result):
         return None
     plan, forecast = plan_of(campaign, PlanOptions(dampings=(damping,))), forecast_of(campaign, (damping,))
     expected = 0.0 if forecast is None else float(forecast.limit[0])
-    if not plan.next or expected <= largest.limit.stiffness:
+    if not plan.next or expected <= largest.stiffness:
         return None
     unit = unit_of("stiffness", campaign.motion)
     why = (

@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.comparison.scores.agreement import is_steady
 from pipeline.comparison.summary.first_screen import COARSE, answer
-from pipeline.records.findings import Limit
+from pipeline.records.findings import BoundaryPoint, Limit
 from pipeline.records.models import ComparisonRow, Deviation
 from pipeline.records.results import AnswerEstimate, Cause, DampingSpan
 from pipeline.rendering.labels import answer_texts, at_least
@@ -189,6 +189,22 @@ def test_a_value_at_an_end_of_its_interval_is_printed_once(data, result):
     points = tuple(p.model_copy(update={"estimate": None, "low": None, "high": None}) for p in points)
     (limit,) = (e for e in told(data, result, boundary=points).estimates if e.name == "stiffness_max")
     assert limit.value == 0.5 * (limit.low + limit.high)
+
+
+def test_the_largest_stable_stiffness_is_the_largest_limit_and_not_the_limit_of_the_stiffest_trial(data, result):
+    """The stiffest trials of several dampings may be equal; their limits are not."""
+    of = (
+        (20.0, 2080.0, 2139.0, 2130.0, 2148.0),
+        (24.0, 2080.0, 2091.0, 2083.0, 2098.0),
+        (28.0, 1900.0, 2000.0, 1990.0, 2190.0),
+    )
+    points = tuple(
+        BoundaryPoint(damping=B, stable=K, unstable=2200.0, censored=False, estimate=limit, low=low, high=high)
+        for B, K, limit, low, high in of
+    )
+    (limit,) = (e for e in told(data, result, boundary=points).estimates if e.name == "stiffness_max")
+    assert (limit.value, limit.damping) == (2139.0, 20.0)
+    assert (limit.low, limit.high) == (2130.0, 2190.0), "the largest may be where the interval is widest"
 
 
 def test_words_say_of_how_many_dampings_a_median_is(data, result):

@@ -36,7 +36,7 @@ from pipeline.records.results import (
 )
 from pipeline.rendering.figures.drawing import draw
 from pipeline.rendering.figures.overview import delay_figure, sensitivity_figure, trend_figure
-from pipeline.rendering.frames import differing_lines, frames, in_order, limit_of
+from pipeline.rendering.frames import differing_lines, frames, in_order
 from pipeline.rendering.labels import cost_text, percent_text
 from pipeline.rendering.report import report
 from pipeline.rendering.table import Table
@@ -81,12 +81,12 @@ def test_lines_that_differ_are_told_and_dates_give_the_order(result: ComparisonR
 def test_limits_and_estimates_are_those_of_the_experiments_in_table_and_figure(result: ComparisonResult) -> None:
     frame = frames(result)["trend"].set_index(["quantity", "experiment"])
     ordered = in_order(result.experiments, differing_lines(result.experiments))
-    best = [max((p for p in e.boundary if p.stable is not None), key=lambda p: p.stable) for e in ordered]
-    assert frame.loc["stiffest limit", "value"].tolist() == [limit_of(point) for point in best]
+    best = [max(p.limit.stiffness for p in e.boundary if p.limit) for e in ordered]
+    assert frame.loc["stiffest limit", "value"].tolist() == best
     assert frame.loc["mass", "value"].tolist() == [e.estimates["mass"].value for e in ordered]
     (figure,) = trend_figure(result)
     shown = np.concatenate([s.y for s in figure.panels[0].series])
-    assert sorted(shown) == sorted(limit_of(point) for point in best)
+    assert sorted(shown) == sorted(best)
     assert len(draw(figure).panels) == len(figure.panels) == 3
 
 
