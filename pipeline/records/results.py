@@ -490,7 +490,7 @@ class UsePoint(Record):
 
     ``damping_range`` contains the dampings at which this stiffness is stable.
     ``margin_large_motion`` is the ratio for large motions, if friction was found. ``better`` names the trial of the
-    least cost, and why it was not chosen. It is empty if this trial has the least cost.
+    least cost, and why it is not among the recommended walls. It is empty if one of these has the least cost.
     """
 
     stiffness: float

@@ -212,8 +212,8 @@ def _described(
     at = tested.inside(region)
     room, bound = room_of(limits, region)
     rooms = room_at(limits, tested.damping)
-    best = tested.favoured(region, rooms)
     costs = {name: stages.sure_cost(name) for name in result.optimum}
+    best = tested.favoured(region, rooms, costs.get("overshoot", np.full(len(rooms), np.nan)))
     known = {name: cost[at & np.isfinite(cost)] for name, cost in costs.items()}
     return UseRegion(
         criterion=criterion,
@@ -232,7 +232,7 @@ def _described(
                 result.boundary, float(tested.stiffness[best]), float(tested.damping[best])
             ),
             margin_large_motion=linear[float(tested.damping[best])] / float(tested.stiffness[best]) if linear else None,
-            better=_not_chosen(criterion, tested, best, limits, result, stages.texts("response", "trial_id")),
+            better=_not_chosen(criterion, tested, region, limits, result, stages.texts("response", "trial_id")),
         ),
     )
 
@@ -240,17 +240,17 @@ def _described(
 def _not_chosen(
     criterion: str,
     tested: WallTrials,
-    chosen: int,
+    region: Rectangle,
     limits: MeasuredLimits,
     result: MeasuredExperiment,
     trials: Sequence[str],
 ) -> str:
-    """Return the trial with the lowest cost, and why it was not chosen.
+    """Return the trial with the lowest cost, and why it is not among the recommended walls.
 
-    The reason is empty if the trial was chosen, or if no cost decides.
+    The text is empty if it is among them, if one of them has the same cost, or if no cost decides.
     """
     least = result.optimum.get(criterion)
-    if least is None or not least.cost < tested.cost[chosen]:
+    if least is None or not least.cost < np.nanmin(tested.cost[tested.inside(region)]):
         return ""
     K, B, at = least.stiffness, least.damping, trials.index(least.trial_id)
     margin = float(room_at(limits, np.array([B]))[0]) / K
@@ -290,14 +290,25 @@ class WallTrials:
         K, B = self.stiffness, self.damping
         return (region[0] <= K) & (region[1] >= K) & (region[2] <= B) & (region[3] >= B)
 
-    def favoured(self, region: Rectangle, room: Floats) -> int:
+    def favoured(self, region: Rectangle, room: Floats, overshoot: Floats) -> int:
         """Return the trial of a region with low cost and level.
 
-        Of equal trials, it is the one farthest from the limit.
+        It lies between other walls of the region and overshoots by at most the region's median, if such trials exist.
+        At an edge, a small change of the loop leads out of the region. Of equal trials, it is the one farthest from the
+        limit.
         """
         at = np.flatnonzero(self.inside(region) & np.isfinite(self.level) & self.finished)
+        outer = sum(_at_an_end(values[at]).astype(np.int64) for values in (self.stiffness, self.damping))
+        over = np.nan_to_num(overshoot[at])
         worse = np.maximum(self.cost[at], self.level[at])
-        return int(at[np.lexsort([-room[at] / self.stiffness[at], worse])[0]])
+        order = np.lexsort([-room[at] / self.stiffness[at], worse, over > np.median(over), outer])
+        return int(at[order[0]])
+
+
+def _at_an_end(values: Floats) -> Booleans:
+    """Return which values are the smallest or the largest one. All values are ends if none lies between them."""
+    inner: Booleans = (values > values.min()) & (values < values.max())
+    return ~inner
 
 
 def levels(stiffness: Floats, damping: Floats, cost: Floats, usable: Booleans) -> Floats:

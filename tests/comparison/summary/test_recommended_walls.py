@@ -303,9 +303,37 @@ def test_the_wall_to_set_is_neither_the_lucky_trial_nor_beside_good_ones_only():
     level = np.array([45.0, 20, 32, 31, 41])
     tested = WallTrials(np.full(5, 1000.0), np.arange(5.0), cost, level, *[np.ones(5, dtype=bool)] * 2)
     room = np.full(5, 4000.0)
-    assert tested.favoured((1000, 1000, 0, 4), room) == 3
+    calm = np.zeros(5)
+    assert tested.favoured((1000, 1000, 0, 4), room, calm) == 3
     alike = WallTrials(tested.stiffness, tested.damping, np.ones(5), np.ones(5), tested.usable, tested.usable)
-    assert alike.favoured((1000, 1000, 0, 4), np.array([2000.0, 3000, 9000, 4000, 1])) == 2
+    assert alike.favoured((1000, 1000, 0, 4), np.array([2000.0, 3000, 9000, 4000, 1]), calm) == 2
+
+
+def test_the_wall_to_set_is_neither_at_an_end_of_its_region_nor_one_that_overshoots_most():
+    """As lwr with 8 samples of delay: the wall of least damping overshot by 24 %, and its neighbour cost less."""
+    k, b = np.full(5, 400.0), np.arange(10.0, 20, 2)
+    cost, over = np.array([50.0, 60, 70, 80, 90]), np.array([0.24, 0.1, 0.05, 0.0, 0.0])
+    tested = WallTrials(k, b, cost, cost, *[np.ones(5, dtype=bool)] * 2)
+    assert tested.favoured((400, 400, 10, 18), np.full(5, 900.0), over) == 2
+    # without a wall between others, overshoot and cost decide
+    assert tested.favoured((400, 400, 10, 12), np.full(5, 900.0), over) == 1
+    # a criterion without overshoot decides by its cost
+    assert tested.favoured((400, 400, 10, 18), np.full(5, 900.0), np.full(5, np.nan)) == 1
+
+
+def test_a_member_of_the_region_is_never_named_as_a_wall_against_it(course_1, monkeypatch):
+    result, stages = course_1
+    use = region_to_use(result, stages)[0]
+    cost, ids = stages.sure_cost("settle_2pct").copy(), stages.texts("response", "trial_id")
+    K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
+    (at, *_) = np.flatnonzero((use.stiffness_low == K) & (use.damping_low == B))
+    cost[at] = 1.0
+    best = Optimum(stiffness=K[at], damping=B[at], cost=1.0, trial_id=ids[at])
+    of = result.model_copy(update={"optimum": result.optimum | {"settle_2pct": best}})
+    found = region_to_use(of, hidden(stages, monkeypatch, cost))[0]
+    assert (found.stiffness_low, found.damping_low) <= (K[at], B[at])
+    assert (found.point.stiffness, found.point.damping) != (K[at], B[at])
+    assert found.point.better == ""
 
 
 @pytest.mark.parametrize("seed", range(4))
