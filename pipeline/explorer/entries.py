@@ -84,8 +84,8 @@ def _measured(experiment: ExperimentResult) -> JsonObject:
     for point in experiment.boundary:
         sides = [(point.stable, 1), (None if point.censored else point.unstable, 0)]
         trials += [[stiffness, point.damping, stable] for stiffness, stable in sides if stiffness is not None]
-        if point.stable is not None and point.unstable is not None and not point.censored:
-            limits.append([point.damping, 0.5 * (point.stable + point.unstable)])
+        if (limit := point.limit) is not None and not limit.censored:
+            limits.append([point.damping, limit.stiffness])
     rubs = experiment.loop is not None and experiment.loop.friction is not None and experiment.loop.friction.value
     friction = [[b.damping, b.stiffness, b.stiffness_large_motion] for b in experiment.loop_boundary or () if rubs]
     return {"limits": limits, "trials": trials, "friction": friction}

@@ -39,6 +39,7 @@ from pipeline.records.criteria import REPORTED, criterion_of
 from pipeline.records.findings import Note, Record
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.figures.boundaries import (
+    MEASURED,
     answer_figure,
     by_theory,
     limits_figure,
@@ -344,7 +345,7 @@ def limits(_processed: Path, asked: DocumentRequest, results: Sequence[Compariso
         return _drawn(plane_figure(known), results)
     series = [s for n, (label, found) in enumerate(runs) for s in measured(found.boundary, label, n)]
     series += [by_theory(t, "_theory", n) for n, t in enumerate(theories) if t is not None]
-    text = "The largest stable stiffness at each damping. Dashed lines in the same colour show theory."
+    text = f"{MEASURED} Dashed lines in the same colour show theory."
     panel = limits_panel("", series, results[0].motion)
     return _drawn(limits_figure("Stability limits", text, [panel], "limits"), results)
 

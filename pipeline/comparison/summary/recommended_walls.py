@@ -298,7 +298,7 @@ class WallTrials:
         limit.
         """
         at = np.flatnonzero(self.inside(region) & np.isfinite(self.level) & self.finished)
-        outer = sum(_at_an_end(values[at]).astype(np.int64) for values in (self.stiffness, self.damping))
+        outer = _at_an_end(self.stiffness[at]).astype(np.int64) + _at_an_end(self.damping[at])
         over = np.nan_to_num(overshoot[at])
         worse = np.maximum(self.cost[at], self.level[at])
         order = np.lexsort([-room[at] / self.stiffness[at], worse, over > np.median(over), outer])

@@ -5,7 +5,7 @@ Source: Hulin 2017, Figs. 6.3, 6.4 and 6.9.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -46,31 +46,37 @@ NOT_DRAWN: dict[Overlay, str] = {
 ANSWER = "boundaries-answer"
 """Identifier of the figure on the first screen."""
 
-MEASURED = (
-    "Measured: largest stable stiffness at each damping; open marks: the tested range ended before an unstable trial."
-)
+MEASURED = "Measured: limit of stability at each damping, estimated from the growth rates of the trials."
+
+AT_LEAST = "Open marks: stiffest stable trial at dampings without an unstable one; the limit is higher."
 
 
 def measured(
     limits: Sequence[BoundaryPoint], label: str, number: int | None, *, intervals: bool = False
 ) -> Iterator[Series]:
-    """Yield the largest stable stiffness at each damping, and lower bounds as a separate series.
+    """Yield the measured limit at each damping, and lower bounds as a separate series.
 
-    The stiffness is 0 if no trial is stable.
+    A limit comes from the growth rates, otherwise it is the middle between the last stable and the first unstable
+    trial. The line has a gap where no limit is known. A damping without a stable trial closes the line at K = 0 if its
+    unstable trial is as close to 0 as the trials are to each other around another limit.
 
-    With ``intervals``, limits are drawn with intervals. A limit comes from the growth rates with its 95 % interval, or
-    otherwise it is the middle between the last stable and the first unstable trial, which are the ends of its interval.
+    With ``intervals``, limits are drawn with their 95 % intervals, or with these two trials as ends.
     """
     stable = [p.stable is not None for p in limits]
     # Dampings without a stable trial close the curve where they are next to dampings with one. Others are not needed.
     points = [p for i, p in enumerate(limits) if any(stable[max(i - 1, 0) : i + 2])]
+    steps = [p.unstable - p.stable for p in limits if p.stable is not None and p.unstable is not None]
     ends = [(p.low, p.high) if None not in (p.low, p.high) else (p.stable, p.unstable) for p in points]
     low, high = (np.array([pair[side] for pair in ends], dtype=np.float64) for side in (0, 1))
-    K = np.array([p.limit.stiffness if intervals and p.limit else p.stable or 0.0 for p in points])
+    near = [p.unstable is not None and p.unstable <= max(steps, default=0.0) for p in points]
+    K = np.array(
+        [p.limit.stiffness if p.limit else 0.0 if close else np.nan for p, close in zip(points, near, strict=True)]
+    )
     B = np.array([p.damping for p in points])
     bound = np.array([p.censored for p in points], dtype=np.bool_)
     line = np.where(bound, np.nan, K)  # A lower bound is not a limit, but a line through it would suggest a limit.
     yield Series(label, "measured", line, B, low if intervals else None, high if intervals else None, number)
+    bound &= np.isfinite(K)
     if bound.any():
         yield Series(f"_{label}: at least", "bound", K[bound], B[bound], number=number)
 
@@ -162,12 +168,20 @@ def answer_figure(
     if step is not None:
         series.append(Series("next wall", "next", np.array([step.stiffness]), np.array([step.damping])))
     title = f"Where experiment {result.experiment} is stable"
-    caption = "Every trial, and the limit of stability at each damping, estimated from the growth rates of the trials"
+    caption = [
+        "Every trial, and the limit of stability at each damping, estimated from the growth rates of the trials."
+    ]
     if any(point.low for point in result.boundary):
-        caption += ". Within its interval, the verdict of a single trial may be on either side"
+        caption.append("Within its interval, the verdict of a single trial may be on either side.")
     if result.use is not None and result.use.trials > 1:
-        caption += ". Box: walls of low cost around the recommended one, all stable and far from the limit"
-    return limits_figure(title, f"{caption}.", [limits_panel("", series, motion)], ANSWER)
+        caption.append("Box: walls of low cost around the recommended one, all stable and far from the limit.")
+    caption += _at_least(series)
+    return limits_figure(title, " ".join(caption), [limits_panel("", series, motion)], ANSWER)
+
+
+def _at_least(series: Iterable[Series]) -> list[str]:
+    """Return the sentence about open marks, if there are any."""
+    return [AT_LEAST] if any(s.kind == "bound" for s in series) else []
 
 
 def plane_figure(entries: Sequence[tuple[str, ExperimentNumbers, Theory, int]], *, predicted: bool = True) -> Figure:
@@ -238,7 +252,8 @@ def boundary_figures(
         dashed += " Grey: theory for other delays."
     if len(results) > 1 or shown.delays or printed is not None:
         title = "Stability limits of all experiments"
-        figures.append(limits_figure(title, f"{MEASURED}{dashed}", panels, "boundaries-all"))
+        words = " ".join([f"{MEASURED}{dashed}", *_at_least(s for each in panels for s in each.series)])
+        figures.append(limits_figure(title, words, panels, "boundaries-all"))
     if any(shown.has_overlay(overlay) for overlay in NOT_DRAWN):
         drawn = [_with_loop(r, theories.get(r.experiment), number, shown) for number, r in enumerate(results)]
         each = [

@@ -32,6 +32,19 @@ def test_each_criterion_of_each_table_has_a_figure_with_theory_first(of_falcon):
     assert len({panel.limits for panel in figures[0].panels}) == 1, "panels of a figure share their axes"
 
 
+def test_a_map_has_no_limit_where_no_trial_was_unstable(of_falcon):
+    """A line through stiffest stable trials would be read as the limit, with stable walls beyond it."""
+    data, results, *rest = of_falcon
+    censored = [
+        point.model_copy(update={"censored": True, "unstable": None, "estimate": None, "low": None, "high": None})
+        for point in results[0].boundary
+    ]
+    shown = [results[0].model_copy(update={"boundary": tuple(censored)}), *results[1:]]
+    drawn = {s.kind: s for s in map_figures(data, shown, *rest)[0].panels[1].series}
+    assert np.isnan(drawn["edge"].x).all()
+    assert sorted(drawn["bound"].x) == sorted(p.stable for p in censored if p.stable is not None)
+
+
 def test_front_view_holds_the_trials_and_the_optimum_of_the_document(of_falcon):
     data, results, *_ = of_falcon
     figure = map_figures(*of_falcon)[0]

@@ -81,7 +81,8 @@ def test_measured_limits_have_the_interval_of_their_estimate_or_their_trials() -
     assert (line.low[:2] <= line.x[:2]).all(), "line and bar are of one quantity"
     assert (line.x[:2] <= line.high[:2]).all()
     plain, _ = measured(points, "limit", 3)
-    assert plain.x[:2].tolist() == [100, 500], "without intervals: the largest stable stiffness of Fig. 6.3"
+    assert plain.x[:2].tolist() == line.x[:2].tolist(), "one limit in all figures"
+    assert plain.low is None
     assert np.isnan(line.x[2]), "a lower bound is no limit: a line through it would claim one"
 
 
@@ -218,6 +219,23 @@ def test_a_printed_bound_is_a_line_from_the_stiffest_wall_on() -> None:
     (line,) = (s for s in all_.panels[0].series if s.kind == "linear")
     np.testing.assert_allclose(line.x, 38000 - 230 * line.y)
     assert "(6.5)" in line.label
+
+
+def test_a_line_joins_limits_alone() -> None:
+    """As 40 logs of a Falcon: of dampings with an unstable trial alone, the limit is anywhere below it."""
+    points = (
+        BoundaryPoint(damping=0, stable=None, unstable=1000, censored=False, low=0.0, high=1000.0),
+        BoundaryPoint(damping=4, stable=1800, unstable=None, censored=True),
+        BoundaryPoint(damping=100, stable=None, unstable=15000, censored=False, low=0.0, high=15000.0),
+        BoundaryPoint(damping=116, stable=12600, unstable=None, censored=True),
+        BoundaryPoint(damping=120, stable=None, unstable=None, censored=True),
+        BoundaryPoint(damping=128, stable=11800, unstable=14200, censored=False, estimate=13914, low=11800, high=17258),
+    )
+    line, bound = measured(points, "limit", 0)
+    assert dict(zip(line.y, line.x, strict=True)) == pytest.approx(
+        {0: 0, 4: np.nan, 100: np.nan, 116: np.nan, 120: np.nan, 128: 13914}, nan_ok=True
+    )
+    assert bound.x.tolist() == [1800, 12600]
 
 
 def test_a_printed_bound_ends_where_its_stiffness_is_zero() -> None:
