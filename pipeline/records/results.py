@@ -156,7 +156,7 @@ class StiffnessScore(Record):
 class DampingScore(Record):
     """Largest damping [Ns/m, Nms/rad] with a stable trial, and theory's largest damping with any stiffness (6.2.3).
 
-    ``lower_bound`` is true if it is the largest tested damping.
+    ``lower_bound`` is true if no wall that is as soft as a stable one there is unstable at a larger damping.
     """
 
     measured: float
@@ -578,6 +578,8 @@ class Prediction(Record):
     ``of_file`` is true if its parameters are those of the device file instead of estimates from the logs.
     ``apart`` contains the dampings at which most limits deviate by more than their interval, if they are neighbours. It
     is null if the deviating limits are scattered, or if there are none. With both ends null, all limits deviate.
+    ``tested_up_to`` is the largest tested damping if theory has stable walls far beyond it, up to ``stable_up_to``
+    [Ns/m, Nms/rad]. Both are null if the tests reach nearly as far as theory.
 
     ``boundary`` and ``optimal_costs`` are judged separately (6.3). The boundary is predicted if at most one limit in
     twenty lies outside, and partly predicted if the regions nevertheless overlap well. Costs are predicted if their
@@ -602,6 +604,8 @@ class Prediction(Record):
     delay_samples: float | None = None
     of_file: bool = False
     apart: DampingSpan | None = None
+    tested_up_to: float | None = None
+    stable_up_to: float | None = None
     reason: str = ""
 
 

@@ -21,7 +21,7 @@ from pipeline.records.criteria import OVERSHOOT, criterion_of
 from pipeline.records.findings import Optimum
 from pipeline.records.results import ExperimentNumbers
 from pipeline.records.trials import Booleans, Floats
-from pipeline.rendering.figures.boundaries import by_theory, measured
+from pipeline.rendering.figures.boundaries import AT_LEAST, by_theory, measured, untested
 from pipeline.rendering.figures.drawing import BLUE, GREEN, INK, PAPER, VERMILLION, Figure, Panel, Series, dots, reach
 from pipeline.rendering.labels import (
     Units,
@@ -264,7 +264,18 @@ def map_figure(table: str, criterion: str, maps: Sequence[CostMap], units: Units
         f"best stiffness for each damping. Below: least cost for each stiffness"
         f"{' that was tested at many dampings, and all trials' if tried else ''}."
     )
-    panels = tuple(_map_panel(each, criterion, limits, top, units, levels) for each in maps)
+    region = max((float(s.y.max()) for m in maps if m.cost.ndim == 2 for s in m.boundary), default=0.0)
+    corner = limits[0][1], limits[1][1]
+    shown = [
+        replace(m, boundary=(*untested(m.trials[1].max(initial=0.0), region, corner), *m.boundary))
+        if m.trials.size
+        else m
+        for m in maps
+    ]
+    panels = tuple(_map_panel(each, criterion, limits, top, units, levels) for each in shown)
+    drawn = {s.kind for m in shown for s in m.boundary}
+    caption += f" {AT_LEAST}" if "bound" in drawn else ""
+    caption += " Grey area: dampings that were not tested." if "untested" in drawn else ""
     size = (350.0, 430.0) if len(maps) > 2 else (440.0, 500.0)
     identifier = re.sub(r"[^A-Za-z0-9_-]", "-", f"{table}-{criterion}")
     title = f"Cost maps, {criterion_label(criterion)}"

@@ -137,13 +137,14 @@ def _stiffness(
 
 
 def _damping(theory: Theory, result: MeasuredExperiment) -> DampingScore | None:
-    stable = [point.damping for point in result.boundary if point.stable is not None]
+    stable = [(point.damping, point.stable) for point in result.boundary if point.stable is not None]
     if not stable:
         return None
-    measured, known = max(stable), theory.boundary.beta_max * theory.units.damping
+    (measured, stiffness), known = max(stable), theory.boundary.beta_max * theory.units.damping
+    beyond = [point.unstable for point in result.boundary if point.damping > measured and point.unstable is not None]
     return DampingScore(
         measured=measured,
-        lower_bound=measured == max(point.damping for point in result.boundary),
+        lower_bound=min(beyond, default=np.inf) > stiffness,
         theory=known,
         deviation_percent=100 * (measured / known - 1),
     )

@@ -44,6 +44,7 @@ from pipeline.records.results import (
     ReachableCost,
     TestedWall,
 )
+from pipeline.rendering.figures.boundaries import REACHED
 from pipeline.rendering.labels import (
     Units,
     estimate_texts,
@@ -298,6 +299,7 @@ def _prediction(result: ExperimentNumbers, rows: Sequence[ComparisonRow], misled
         dampings=len(result.boundary),
         delay_samples=None if theory is None else theory.parameters.loop.apparent().delay_samples,
         of_file=theory is not None and theory.basis == "device file",
+        **_tested_part(result),
     )
     if region is None and (rubbed := _with_friction(result)) is not None:
         return judged(code="with_friction", percent_with_friction=_percent(rubbed), limits=rubbed.dampings)
@@ -326,6 +328,14 @@ def _prediction(result: ExperimentNumbers, rows: Sequence[ComparisonRow], misled
         apart=distance.apart,
         boundary=_graded(outside <= max(BY_CHANCE * distance.bounded, 1), region.overlap >= WELL),
     )
+
+
+def _tested_part(result: ExperimentNumbers) -> dict[str, float]:
+    """Return up to which damping there are trials, and up to which theory is stable, if it is far beyond."""
+    damping, tested = result.scores[0].damping if result.scores else None, [p.damping for p in result.boundary]
+    if damping is None or max(tested) >= REACHED * damping.theory:
+        return {}
+    return {"tested_up_to": max(tested), "stable_up_to": damping.theory}
 
 
 def _too_few_limits(result: ExperimentNumbers, distance: DistanceScore) -> str:

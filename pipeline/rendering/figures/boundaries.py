@@ -43,6 +43,15 @@ NOT_DRAWN: dict[Overlay, str] = {
 }
 """Reason why a requested overlay is missing in the figure of a single experiment."""
 
+TESTED = ("measured", "bound", "stable", "unstable")
+"""Kinds of series with tested walls."""
+
+REACHED = 0.9
+"""Smallest ratio of the largest tested damping to theory's largest stable one for which the tests cover the region.
+
+Beyond nine tenths, theory's limit has fallen to a quarter of its maximum.
+"""
+
 ANSWER = "boundaries-answer"
 """Identifier of the figure on the first screen."""
 
@@ -99,9 +108,31 @@ def limits_figure(title: str, caption: str, panels: Sequence[Panel], identifier:
     B = [s.y for s in series if s.kind not in ("linear", "others")]
     limits = (0.0, reach(*(s.x for s in series if s.kind not in ("envelope", "others")))[1]), reach(*B)
     width = 350.0 if len(panels) > 2 else 440.0
-    even = tuple(replace(panel, limits=limits) for panel in panels)
+    corner = limits[0][1], limits[1][1]
+    even = tuple(
+        replace(panel, limits=limits, series=(*untested(*_tested_part(panel.series), corner), *panel.series))
+        for panel in panels
+    )
     kind: FigureKind = "plane" if identifier == "boundaries-normalised" else "boundaries"
     return Figure(kind, identifier, title, caption, even, size=(width, 0.78 * width))
+
+
+def _tested_part(series: Sequence[Series]) -> tuple[float, float]:
+    """Return the largest tested damping of a panel, and the largest damping of theory's region."""
+    tested = [float(s.y.max()) for s in series if s.kind in TESTED and len(s.y)]
+    region = [float(np.nanmax(s.y)) for s in series if s.kind == "theory" and s.variant is None]
+    return max(tested, default=np.inf), max(region, default=0.0)
+
+
+def untested(tested: float, region: float, corner: tuple[float, float]) -> list[Series]:
+    """Return the dampings between the largest tested one and the corner of the axes as an area.
+
+    The list is empty if theory's region does not extend far into them.
+    """
+    if tested >= REACHED * region:
+        return []
+    K, B = corner
+    return [Series("not tested", "untested", np.array([0.0, K, K, 0.0]), np.array([tested, tested, B, B]))]
 
 
 def limits_panel(title: str, series: Sequence[Series], motion: Motion, names: tuple[str, str] | None = None) -> Panel:

@@ -88,6 +88,7 @@ VARIANTS = (_DASHED, _DOTTED, (0, (5, 1.5, 1, 1.5)), (0, (9, 3)), (0, (5, 1.5, 1
 
 LOOKS: dict[str, dict[str, Any]] = {
     "others": {"color": INK, "lw": 0.8, "alpha": 0.45},
+    "untested": {"color": GREY, "lw": 0.0, "fill": 0.16},
     "use": {"color": GREEN, "lw": 1.4, "fill": 0.3},
     "stable": {"color": INK, "dots": 2.6},
     "unstable": {"color": INK, "ls": "none", "marker": "x", "ms": 5.0, "mew": 1.3},

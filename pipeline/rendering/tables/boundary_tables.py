@@ -92,11 +92,11 @@ def boundary_table(rows: Sequence[Row], units: Any, trials: TrialPage) -> Table 
     return table_of("boundary", caption, columns, shown, name, experiment_block)
 
 
-def _largest_stable(name: str, symbol: str) -> Column:
-    """Return the column with the deviation of the largest stable stiffness or damping from theory."""
+def _largest_stable(name: str, label: str) -> Column:
+    """Return the column with the deviation of the largest stiffness or damping of a stable trial from theory."""
     return Column(
         f"{name}_deviation_percent",
-        f"largest stable {symbol}",
+        label,
         "%",
         show=lambda value, row: ("≥ " if row[f"{name}_lower_bound"] else "") + percent_text(value),
         aside=lambda row: ratio_text(row, f"{name}_measured", f"{name}_theory"),
@@ -107,12 +107,20 @@ def scores_table(result: ComparisonResult, stiffness: str, damping: str) -> Tabl
     """Return the scores of theory for each experiment, and those with the measured damping if it is another one."""
     rows = []
     for e in result.experiments:
+        unjudged = e.answer.predicts.reason if e.answer and e.answer.predicts.code == "unknown" else ""
         for scores in e.scores:
             loop = scores.parameters.loop.apparent()
-            row: Row = {"experiment": e.experiment, "reason": "; ".join(dict.fromkeys(scores.missing.values()))}
+            reason = (
+                f"not judged: {first_clause(unjudged)}"
+                if unjudged
+                else "; ".join(dict.fromkeys(scores.missing.values()))
+            )
+            row: Row = {"experiment": e.experiment, "reason": reason}
             row |= {"basis": scores.basis, "theory_damping": loop.damping}
             for name in ("region", "distance", "verdicts", "stiffness", "damping"):
                 found = getattr(scores, name)
+                if name in _OF_LIMITS and unjudged:
+                    continue
                 row |= {f"{name}_{key}": value for key, value in flat(found).items()} if found else {}
             rows.append(row)
     bases = {scores.basis for e in result.experiments for scores in e.scores} - {"measured damping"}
@@ -132,8 +140,8 @@ def scores_table(result: ComparisonResult, stiffness: str, damping: str) -> Tabl
             ends=interval_ends("region_covered"),
         ),
         interval_column("region_area_ratio", "area, measured : theory"),
-        _largest_stable("stiffness", "K"),
-        _largest_stable("damping", "B"),
+        _largest_stable("stiffness", "stiffest stable trial, K"),
+        _largest_stable("damping", "largest stable B"),
         Column("distance_median", "distance of limits, median", "%", show=show_percent_of_share),
         Column("distance_largest", "largest", "%", show=show_percent_of_share, aside=at_largest),
         Column("distance_rms", "rms", stiffness, show=digits(3)),
@@ -151,6 +159,9 @@ def scores_table(result: ComparisonResult, stiffness: str, damping: str) -> Tabl
         table.mark(*measured_damping_notes(result))
     return table
 
+
+_OF_LIMITS = ("region", "distance", "stiffness")
+"""Scores that are left out where the first screen does not judge the boundary. Few limits agree by chance."""
 
 _OF_BASIS = {"device file": "stated", "estimates": "by the logs", "measured damping": "by the logs"}
 """Source of theory's damping, by the basis of scores."""
@@ -178,7 +189,7 @@ def measured_damping_notes(result: ComparisonResult) -> list[str]:
             f"{name} {show(before)} to {show(after)} %"
             for name, before, after, show in (
                 ("overlap of the regions", *_both(stated, damped, "region", "overlap"), share_text),
-                ("largest stable K", *_both(stated, damped, "stiffness", "deviation_percent"), percent_text),
+                ("stiffest stable trial", *_both(stated, damped, "stiffness", "deviation_percent"), percent_text),
                 ("largest stable B", *_both(stated, damped, "damping", "deviation_percent"), percent_text),
             )
             if before is not None and after is not None

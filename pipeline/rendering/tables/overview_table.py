@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from pipeline.records.results import ComparisonResult
-from pipeline.rendering.labels import MISSING, UNITS, answer_texts
+from pipeline.rendering.labels import MISSING, UNITS, answer_texts, damping_text
 from pipeline.rendering.table import Column, Row, Table, table_of
 from pipeline.rendering.tables.formats import experiment_row, show_damping, show_stiffness
 
@@ -23,7 +23,7 @@ def overview_table(result: ComparisonResult) -> Table | None:
         predicts, wall, step = answer.predicts, answer.wall, answer.next
         boundary = predicts.code if predicts.code == "with_friction" else predicts.boundary
         row: Row = {"experiment": answer.experiment, "boundary": GRADES[boundary]}
-        row["costs"] = GRADES[predicts.optimal_costs]
+        row |= {"costs": GRADES[predicts.optimal_costs], "tested": predicts.tested_up_to}
         row |= {"wall_stiffness": wall and wall.stiffness, "wall_damping": wall and wall.damping}
         row |= {"next_stiffness": step and step.stiffness, "next_damping": step and step.damping}
         for found in answer.estimates:
@@ -34,7 +34,7 @@ def overview_table(result: ComparisonResult) -> Table | None:
         Column("experiment"),
         Column("wall_stiffness", "K", units.stiffness, "wall to use", show_stiffness, why="none is recommended"),
         Column("wall_damping", "B", units.damping, "wall to use", show_damping, why="none is recommended"),
-        Column("boundary", "boundary", group="theory predicts"),
+        Column("boundary", "boundary", group="theory predicts", aside=_tested),
         Column("costs", "costs", group="theory predicts"),
         *(
             Column(name, label, unit, show=_answered(name), aside=_within(name), notes=_notes_on(name), why=why)
@@ -53,6 +53,12 @@ def overview_table(result: ComparisonResult) -> Table | None:
         "overview", "The answers about each experiment, with 95 % intervals", columns, rows, experiment_row
     )
     return table if len(rows) > 1 else None
+
+
+def _tested(row: Row) -> str:
+    """Return up to which damping the boundary is judged, if theory is stable far beyond it. Otherwise empty."""
+    judged = row["tested"] is not None and row["boundary"] != GRADES[None]
+    return f"up to B = {damping_text(row['tested'])}" if judged else ""
 
 
 def _answered(name: str) -> Callable[[float, Row], str]:

@@ -73,7 +73,7 @@ def test_where_all_trials_cost_as_theory_says_no_departure_is_drawn(of_falcon):
     # the shared course is simulated by the device file: medians are small
     settling = next(f for f in figures if f.identifier == "residual-settle_2pct")
     for panel in settling.panels:
-        told = next(s for s in panel.series if s.kind == "told")
+        told = next(s for s in panel.series if s.kind == "hover")
         assert abs(np.median(told.value)) < 10
 
 

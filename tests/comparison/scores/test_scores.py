@@ -96,6 +96,16 @@ def test_the_largest_stable_damping_is_scored_against_that_of_theory(ideal):
     assert score.deviation_percent == pytest.approx(100 * (score.measured / score.theory - 1), abs=1e-9)
 
 
+def test_the_largest_stable_damping_is_a_lower_bound_unless_a_soft_wall_beyond_it_is_unstable(ideal):
+    result, stages, theory = ideal
+    at = {"censored": False, "estimate": None, "low": None, "high": None}
+    first = result.boundary[0].model_copy(update=at | {"damping": 152.0, "stable": 3600.0, "unstable": 9000.0})
+    for unstable, bound in ((3680.0, True), (200.0, False)):
+        last = first.model_copy(update={"damping": 184.0, "stable": None, "unstable": unstable})
+        (found,) = scores_of(result.model_copy(update={"boundary": (first, last)}), stages, theory, by_file=True)
+        assert (found.damping.measured, found.damping.lower_bound) == (152.0, bound)
+
+
 @pytest.mark.parametrize(("low", "count"), [(3.0, 1), (5.0, 2)], ids=["agrees", "differs"])
 def test_scores_with_the_measured_damping_follow_if_it_differs_from_the_file(ideal, low, count):
     result, stages, theory = ideal

@@ -207,6 +207,19 @@ def test_the_largest_stable_stiffness_is_the_largest_limit_and_not_the_limit_of_
     assert (limit.low, limit.high) == (2130.0, 2190.0), "the largest may be where the interval is widest"
 
 
+def test_a_verdict_states_where_tests_end_far_below_the_largest_damping_of_theory(data, result):
+    damping = result.experiments[0].scores[0].damping
+    tested = max(point.damping for point in result.experiments[0].boundary)
+    near = told(data, result, scores=scored(result, damping=damping.model_copy(update={"theory": 1.05 * tested})))
+    assert (near.predicts.tested_up_to, near.predicts.stable_up_to) == (None, None)
+    far = told(data, result, scores=scored(result, damping=damping.model_copy(update={"theory": 2 * tested})))
+    assert (far.predicts.tested_up_to, far.predicts.stable_up_to) == (tested, 2 * tested)
+    words = {name: lines_of(result.model_copy(update={"answer": of}))[2] for name, of in (("near", near), ("far", far))}
+    assert "not tested beyond" not in words["near"]
+    assert f"Boundary: yes, up to B = {tested:g} of {2 * tested:g} " in words["far"]
+    assert "; not tested beyond. Limits" in words["far"]
+
+
 def test_words_say_of_how_many_dampings_a_median_is(data, result):
     predicts = result.answer.predicts
     assert predicts.dampings == len(result.experiments[0].boundary)

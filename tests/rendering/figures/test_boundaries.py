@@ -19,6 +19,8 @@ from pipeline.rendering.figures.boundaries import (
     boundary_figures,
     by_theory,
     conditions,
+    limits_figure,
+    limits_panel,
     measured,
     plane_figure,
 )
@@ -236,6 +238,23 @@ def test_a_line_joins_limits_alone() -> None:
         {0: 0, 4: np.nan, 100: np.nan, 116: np.nan, 120: np.nan, 128: 13914}, nan_ok=True
     )
     assert bound.x.tolist() == [1800, 12600]
+
+
+def test_dampings_of_theory_that_were_not_tested_are_an_area() -> None:
+    """As the joint without delay: tests end at 40 % of the damping up to which theory is stable."""
+    tested = measured(experiment("1").boundary, "limit", 0)
+    (panel,) = limits_figure(
+        "", "", [limits_panel("", [*tested, by_theory(theory(), "theory")], "translation")], "x"
+    ).panels
+    last = max(point.damping for point in experiment("1").boundary)
+    assert last < 0.9 * np.nanmax(by_theory(theory(), "").y)
+    (area,) = (s for s in panel.series if s.kind == "untested")
+    assert (area.y.min(), area.x.max(), area.y.max()) == (last, panel.limits[0][1], panel.limits[1][1])
+    # where the tests reach as far as theory, there is none
+    tested = measured(experiment("1").boundary, "limit", 0)
+    near = by_theory(theory(mass=0.45), "theory")
+    (panel,) = limits_figure("", "", [limits_panel("", [*tested, near], "translation")], "x").panels
+    assert "untested" not in {s.kind for s in panel.series}
 
 
 def test_a_printed_bound_ends_where_its_stiffness_is_zero() -> None:

@@ -28,6 +28,7 @@ from pipeline.records.results import (
     RegionScore,
     Scores,
     SourcedLoop,
+    StiffnessScore,
     StraightBound,
     Truth,
     TruthHeld,
@@ -37,7 +38,7 @@ from pipeline.records.results import (
 from pipeline.rendering.figures.drawing import draw
 from pipeline.rendering.figures.overview import delay_figure, sensitivity_figure, trend_figure
 from pipeline.rendering.frames import differing_lines, frames, in_order
-from pipeline.rendering.labels import cost_text, percent_text
+from pipeline.rendering.labels import MISSING, cost_text, percent_text
 from pipeline.rendering.report import report
 from pipeline.rendering.table import Table
 from pipeline.rendering.tables.boundary_tables import measured_damping_notes, region_sentence
@@ -407,6 +408,25 @@ def test_scores_with_the_measured_damping_are_a_second_row(result: ComparisonRes
         "Experiment 0: the damping of the logs agrees with the stated one, so that it explains no deviation."
     ]
     assert measured_damping_notes(alone.model_copy(update={"known_device": False})) == []
+
+
+def test_scores_of_limits_are_left_out_where_the_boundary_is_not_judged(result: ComparisonResult) -> None:
+    """One limit agrees by chance: an overlap of 99.9 % next to "not known" would be read as a proof."""
+    stiffness = StiffnessScore(
+        measured=1.0, measured_damping=1.0, lower_bound=True, theory=2.0, theory_damping=1.0, anywhere=2.0,
+        anywhere_damping=1.0, deviation_percent=-50.0,
+    )  # fmt: skip
+    scores = Scores(parameters=LOOP, basis="device file", stiffness=stiffness, damping=damping_score(100.0, 200.0))
+    shown = {}
+    for e in answered(result).experiments[:2]:
+        changed = result.model_copy(update={"experiments": (e.model_copy(update={"scores": (scores,)}),)})
+        (table,) = tables_of(changed)["scores"]
+        (shown[e.answer.predicts.code],) = cells(table)
+        reasons = table.reasons
+    assert shown["yes"]["stiffness_deviation_percent"].startswith("≥ −50.0")
+    assert shown["unknown"]["stiffness_deviation_percent"] == MISSING
+    assert shown["unknown"]["damping_deviation_percent"].startswith("−50.0")
+    assert "not judged: too few limits" in reasons
 
 
 def damping_score(measured: float, theory: float) -> DampingScore:
