@@ -79,7 +79,10 @@ def with_trials(entry: Entry, walls: Sequence[tuple[float, float, bool]]) -> Ent
 
 
 def _measured(experiment: ExperimentResult) -> JsonObject:
-    """Return limits with the trials on either side of them, and the limits that the loop with friction predicts."""
+    """Return limits with the trials on either side of them, and the limits that the loop with friction predicts.
+
+    The page shows no passive wall if the logs prove none (``passive_reason``).
+    """
     limits, trials = [], []
     for point in experiment.boundary:
         sides = [(point.stable, 1), (None if point.censored else point.unstable, 0)]
@@ -88,7 +91,8 @@ def _measured(experiment: ExperimentResult) -> JsonObject:
             limits.append([point.damping, limit.stiffness])
     rubs = experiment.loop is not None and experiment.loop.friction is not None and experiment.loop.friction.value
     friction = [[b.damping, b.stiffness, b.stiffness_large_motion] for b in experiment.loop_boundary or () if rubs]
-    return {"limits": limits, "trials": trials, "friction": friction}
+    unproven = "" if experiment.passive is not None else experiment.passive_reason or ""
+    return {"limits": limits, "trials": trials, "friction": friction, "passive_reason": unproven}
 
 
 def _identified_loop(experiment: ExperimentResult, motion: str) -> JsonObject | None:

@@ -954,15 +954,14 @@ function requirement(loop) {
 
 /**
  * Return the outline of the passive walls in SI, closed, and the stiffest of them. All are 0 where the device has no
- * damping; none exist where the position is sensed beyond a mode (`reason`).
+ * damping; none exist where the position is sensed beyond a mode, or where logs prove none (`reason`).
  * @param {DeviceFile | Sampled} file @param {number} [directions] from B < 0 to B > 0 in which walls are looked for
+ * @param {string} [unproven] why logs of this loop prove no wall to be passive
  */
-export function passive(file, directions = DIRECTIONS) {
+export function passive(file, directions = DIRECTIONS, unproven = "") {
   const loop = prepare(file), { stiffness: K, damping: B } = loop.units;
-  if (loop.atLoad) {
-    return { stiffness: [], damping: [], stiffness_max: null, damping_at_stiffness_max: null,
-      reason: "the position is sensed beyond the vibration mode: no wall is passive for every hand" };
-  }
+  const reason = unproven ? `not proven: ${unproven}` : loop.atLoad ? "the position is sensed beyond the vibration mode: no wall is passive for every hand" : "";
+  if (reason) return { stiffness: [], damping: [], stiffness_max: null, damping_at_stiffness_max: null, reason };
   const needs = requirement(loop), lever = loop.delay + loop.lag + 0.5;
   const reached = (angle) => {
     const alpha = Math.cos(angle) / lever, beta = Math.sin(angle), reach = loop.near / needs(alpha, beta);

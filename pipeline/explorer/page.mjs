@@ -4,10 +4,10 @@
 import { boundary, flattened, leftOut, margins, passive, poles, prepare, response, walls } from "./loop.mjs";
 
 /**
- * @typedef {{label: string, loop: any, trials?: number[][], limits?: number[][], friction?: number[][],
+ * @typedef {{label: string, loop: any, trials?: number[][], limits?: number[][], friction?: number[][], passive_reason?: string,
  *   wall?: {stiffness: number, damping: number} | null}} Entry a loop with what was measured on it: trials as
  *   [stiffness, damping, 1 if stable], limits as [damping, stiffness], limits with friction as [damping, stiffness,
- *   stiffness without friction or null]
+ *   stiffness without friction or null], and why its logs prove no wall to be passive
  * @typedef {{stiffness: number, damping: number}} Wall
  */
 
@@ -310,8 +310,8 @@ export function explore(root, entries) {
     put("grid", grid.join(""));
     layers.axis.replaceChildren(make("path", { class: "axis", d: `M${left} 12V${height - bottom}H${width - 12}` }), ...frame,
       make("text", { x: width - 12, y: height - 6, "text-anchor": "end" }, `stiffness K [${of().K}]`), make("text", { x: left + 8, y: 24 }, `damping B [${of().B}]`));
-    const shown = [["edge", "stable"], ["passive", "passive (stable with every passive hand)"], ["linear", "linear condition (slow motion)"], ["wall", "this wall (drag it)"],
-      ...(ghost?.same ? [] : [["ghost", "device as identified"]]), ...((entry.friction ?? []).length ? [["friction", "limit with friction"]] : []),
+    const shown = [["edge", "stable"], ...(calm.reason ? [] : [["passive", "passive (stable with every passive hand)"]]), ["linear", "linear condition (slow motion)"],
+      ["wall", "this wall (drag it)"], ...(ghost?.same ? [] : [["ghost", "device as identified"]]), ...((entry.friction ?? []).length ? [["friction", "limit with friction"]] : []),
       ...((entry.trials ?? []).length ? [["good", "stable trial"], ["bad", "unstable trial"]] : []),
       ...((entry.limits ?? []).length ? [["limit", "measured limit"]] : []), ...(entry.wall || best ? [["best", entry.wall ? "recommended wall" : "optimum"]] : [])];
     if (legend.dataset.shown === String(shown)) return;
@@ -335,7 +335,7 @@ export function explore(root, entries) {
     asked = false;
     try {
       const sampled = prepare(loop);
-      result = { sampled, border: boundary(sampled), calm: passive(sampled, 61) }, message.textContent = "";
+      result = { sampled, border: boundary(sampled), calm: passive(sampled, 61, entry.passive_reason) }, message.textContent = "";
     } catch (error) {
       message.textContent = `${error instanceof Error ? error.message : error}`;
       return;
@@ -386,7 +386,8 @@ export function explore(root, entries) {
       }
       return odd;
     };
-    fields.forEach((field) => field.show()), result.verdicts = all.map((w, i) => !found[i].stable ? "unstable" : inside(w) ? "stable, passive" : "stable, not passive");
+    fields.forEach((field) => field.show());
+    result.verdicts = all.map((w, i) => !found[i].stable ? "unstable" : inside(w) ? "stable, passive" : calm.reason ? "stable" : "stable, not passive");
     /** @type {[string, (i: number) => string][]} */
     const lines = [["stiffness", (i) => `${text(all[i].stiffness)} ${of().K}`], ["damping", (i) => `${text(all[i].damping)} ${of().B}`],
       ["verdict", (i) => result.verdicts[i]], ["spectral radius", (i) => text(found[i].spectral_radius, 6)],
@@ -397,7 +398,8 @@ export function explore(root, entries) {
       ["gain margin", (i) => text(safe[i]?.gain)], ["phase margin", (i) => safe[i]?.phase ? `${text(safe[i].phase * 180 / Math.PI, 3)}°` : "–"],
       ["delay margin", (i) => safe[i]?.delay ? `${text(safe[i].delay, 3)} samples` : "–"],
       ["bandwidth", (i) => safe[i]?.bandwidth_hz ? `${text(safe[i].bandwidth_hz, 3)} Hz` : "–"]];
-    facts.replaceChildren(make("thead", {}, make("tr", {}, make("th", { scope: "col" }, "wall"), ...all.map((_, i) => make("th", { scope: "col" }, i ? "AB"[i - 1] : "this")))),
+    const heads = ["wall", ...all.map((_, i) => i ? "AB"[i - 1] : "this")].map((name) => make("th", { scope: "col" }, name)), parts = leftOut(loop);
+    facts.replaceChildren(make("caption", {}, parts.length ? `Of the linear loop, without ${parts.join(" and ")}: logs may differ.` : ""), make("thead", {}, make("tr", {}, ...heads)),
       make("tbody", {}, ...lines.map(([name, value]) => make("tr", {}, make("th", { scope: "row" }, name), ...all.map((_, i) => make("td", {}, value(i)))))));
     const samples = Math.round(Math.min(300, Math.max(30, 1.3 * (found[0]?.settle_2pct ?? 100))));
     const runs = all.filter((w) => w.stiffness * 1 > -sampled.gamma * sampled.units.stiffness)
@@ -504,7 +506,7 @@ export function explore(root, entries) {
     device.value = String(entries.indexOf(entry));
     try {
       const sampled = prepare(loop);
-      ghost = { border: boundary(sampled), calm: passive(sampled) };
+      ghost = { border: boundary(sampled), calm: passive(sampled, 61, entry.passive_reason) };
     } catch { /* said below */ }
     if (state) ({ loop = loop, wall = null, pins = [], view = null, criterion = "", swept = swept } = state), pick.value = criterion;
     renew();

@@ -51,7 +51,8 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     measured = {**with_trials(falcon, [(3000.0, 40.0, True), (9000.0, 20.0, False)]), "limits": [[40.0, 8000.0]]}
     rubs = [[20.0, 7000.0, 5000.0], [60.0, 14000.0, 10500.0], [80.0, 13000.0, None]]
     sticky = {"label": "sticky", "loop": falcon["loop"], "friction": rubs}
-    entries = [{**measured, "wall": {"stiffness": 4000.0, "damping": 60.0}}, *others, sticky]
+    late = {"label": "late", "loop": falcon["loop"], "passive_reason": "the delay jitters"}
+    entries = [{**measured, "wall": {"stiffness": 4000.0, "damping": 60.0}}, *others, sticky, late]
     path.write_text(page_of(entries), encoding="utf-8")
     return path
 
@@ -149,6 +150,23 @@ def test_a_wall_is_typed(opened):
     shown = dict(line.split("\t") for line in tab.inner_text(".what-walls tbody").splitlines())
     assert shown["energy, weight t"] == f"{row['energy_step_w1']:.1f} samples²"
     assert shown["settling (2 %)"] == f"{row['settle_2pct']:.1f} ms"
+
+
+def test_no_wall_is_passive_where_the_logs_prove_none(opened):
+    tab = opened()
+    tab.get_by_label("device", exact=True).select_option(label="late")
+    tab.wait_for_function(
+        "document.querySelector('.what-summary').textContent.includes('not proven: the delay jitters')"
+    )
+    tab.get_by_label("wall stiffness K [N/m]").fill("1000")
+    tab.keyboard.press("Tab")
+    tab.get_by_label("wall damping B [Ns/m]").fill("2")
+    tab.keyboard.press("Enter")
+    tab.wait_for_function(
+        "document.querySelector('.live').textContent.includes('Wall of 1000 N/m and 2 Ns/m: stable.')"
+    )
+    assert "passive" not in tab.inner_text(".what-walls tbody")
+    assert "every passive hand)" not in tab.inner_text(".what-if")
 
 
 def test_two_fingers_zoom(opened):

@@ -37,7 +37,7 @@ NOT_DRAWN: dict[Overlay, str] = {
     "estimates": "no loop was identified",
     "band": "no loop was identified",
     "linear": "no theory",
-    "passive": "no theory, or the device has too little damping for a region that can be seen",
+    "passive": "not proven by these logs, or too small to be seen; the table of identified loops states the reason",
     "friction": "no friction was found",
     "robust": "known for a damped mass with a delay alone, and there are other parts or no damping",
 }
@@ -334,19 +334,26 @@ def _over_each_other(
         theory = theories.get(result.experiment)
         if theory is not None and shown.has_overlay("theory") and not shown.delays:
             series.append(by_theory(theory, f"_theory, experiment {result.experiment}", number))
-    first = next((theories[r.experiment] for _, r in group if r.experiment in theories), None)
-    if first is None or not (shown.delays or shown.has_overlay("theory")):
+    leader = next((r.experiment for _, r in group if r.experiment in theories), None)
+    if leader is None or not (shown.delays or shown.has_overlay("theory")):
         return series
+    first = theories[leader]
     low, high = first.loop.delay_range
     for variant, delay in enumerate(shown.delays or ((low, high) if low < high else ())):
         loop = replace(first.loop, jitter_samples=(), delay_samples=float(delay))
-        curve = by_theory(Theory(SourcedLoop(loop=loop, source=first.source)), f"theory, d = {delay:g}")
+        curve = by_theory(
+            Theory(SourcedLoop(loop=loop, source=first.source)), f"theory of experiment {leader}, d = {delay:g}"
+        )
         series.append(replace(curve, variant=variant))
     return series
 
 
 def _with_loop(result: ExperimentNumbers, theory: Theory | None, number: int, shown: Shown) -> list[Series]:
-    """Return the measured limits of one experiment with its theory, its identified loop, and analytical conditions."""
+    """Return the measured limits of one experiment with its theory, its identified loop, and analytical conditions.
+
+    Theory's passive region is left out if the logs do not show that any wall is passive, for example because the delay
+    jitters or a hand damps the device.
+    """
     series = list(measured(result.boundary, "measured limit", number, intervals=True))
     if result.loop_boundary:
         B, low, high = (
@@ -357,10 +364,14 @@ def _with_loop(result: ExperimentNumbers, theory: Theory | None, number: int, sh
         series.append(Series("loop, 95 % interval", "envelope", high, B, low, high))
         if (line := result.straight_bound) is not None:
             ends = np.array([line.damping_first, line.damping_last])
-            series.append(Series("line through the limits", "straight", line.stiffness + line.slope * ends, ends))
+            series.append(
+                Series("straight line fitted to the limits", "straight", line.stiffness + line.slope * ends, ends)
+            )
         series += [Series("for a harder push", "friction", harder, B)] if np.isfinite(harder).any() else []
     if theory is not None:
-        series += [by_theory(theory, "theory"), *conditions(theory, shown.has_overlay("robust"))]
+        proven = result.passive is not None
+        drawn = [s for s in conditions(theory, shown.has_overlay("robust")) if proven or s.kind != "passive"]
+        series += [by_theory(theory, "theory"), *drawn]
     return [s for s in series if s.kind not in OVERLAYS or shown.has_overlay(OVERLAYS[s.kind])]
 
 

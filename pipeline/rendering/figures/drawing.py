@@ -99,7 +99,7 @@ LOOKS: dict[str, dict[str, Any]] = {
     "bound": {"ls": "none", "ms": 5, "mfc": PAPER, "mew": 1.1},
     "theory": {"lw": 1.4, "ls": _DASHED},
     "identified": {"color": INK, "lw": 1.2, "ls": (0, (4, 1.5, 1, 1.5))},
-    "straight": {"color": VERMILLION, "lw": 1.2},
+    "straight": {"color": GREY, "lw": 2.0},
     "linear": {"color": INK, "lw": 1.6, "ls": _DOTTED},
     "friction": {"color": INK, "lw": 1.2, "ls": (0, (3, 1, 1, 1, 1, 1))},
     "edge": {"color": INK, "lw": 1.2},

@@ -181,7 +181,7 @@ def test_delays_of_the_scene_replace_those_of_the_device_file(falcon, tmp_path):
     path = tmp_path / "r.html"
     compare("falcon", falcon.processed, criteria=["overshoot"], report=path, shown=only)
     page = path.read_text(encoding="utf-8")
-    assert set(re.findall(r">theory, d = ([\d.]+)</text>", page)) == {"2.5", "7"}
+    assert set(re.findall(r">theory of experiment [\w-]+, d = ([\d.]+)</text>", page)) == {"2.5", "7"}
 
 
 def test_a_scene_is_saved_and_used(falcon, tmp_path):

@@ -13,7 +13,7 @@ from pipeline.device.loop import Loop
 from pipeline.device_data.published import published_bound
 from pipeline.records.findings import BoundaryPoint, Limit
 from pipeline.records.models import Shown
-from pipeline.records.results import Cause, NextWall, SourcedLoop, StraightBound, UsePoint, UseRegion
+from pipeline.records.results import Cause, NextWall, PassiveWall, SourcedLoop, StraightBound, UsePoint, UseRegion
 from pipeline.rendering.figures.boundaries import (
     answer_figure,
     boundary_figures,
@@ -101,7 +101,10 @@ def test_experiments_share_colours_over_all_figures_and_overlays_are_those_asked
     few = boundary_figures(results, theories, "translation", Shown(overlays=()), sweep=False)
     assert {s.kind for f in few for p in f.panels for s in p.series} == {"measured", "bound"}
     delays = boundary_figures(results, theories, "translation", Shown(delays=(2, 3), overlays=("theory",)), sweep=True)
-    assert [s.label for s in delays[0].panels[0].series if s.kind == "theory"] == ["theory, d = 2", "theory, d = 3"]
+    assert [s.label for s in delays[0].panels[0].series if s.kind == "theory"] == [
+        "theory of experiment 1, d = 2",
+        "theory of experiment 1, d = 3",
+    ]
 
 
 def test_theory_for_a_range_of_delays_never_has_the_colour_of_an_experiment() -> None:
@@ -109,7 +112,7 @@ def test_theory_for_a_range_of_delays_never_has_the_colour_of_an_experiment() ->
     shown = Shown(delays=(2, 3, 4, 5), overlays=("theory",))
     figure, *_ = boundary_figures(results, {"1": theory()}, "translation", shown, sweep=True)
     curves = [s for s in figure.panels[0].series if s.variant is not None]
-    assert [s.label for s in curves] == [f"theory, d = {d}" for d in (2, 3, 4, 5)]
+    assert [s.label for s in curves] == [f"theory of experiment 1, d = {d}" for d in (2, 3, 4, 5)]
     assert "Grey: theory for other delays." in figure.caption
     assert GREY not in SERIES
     (svg,) = draw(figure).panels
@@ -272,18 +275,31 @@ def test_theory_is_drawn_at_the_ends_of_a_jittering_delay_in_colours_of_no_exper
     theories = {"1": Theory(SourcedLoop(loop=loop, source="device file falcon"))}
     results = [experiment("1"), experiment("2")]
     panel = boundary_figures(results, theories, "translation", Shown(), sweep=False)[0].panels[0]
-    ends = {s.label: s for s in panel.series if s.label.startswith("theory, d")}
-    assert list(ends) == ["theory, d = 3", "theory, d = 5"]
+    ends = {s.label: s for s in panel.series if s.label.startswith("theory of experiment 1, d")}
+    assert list(ends) == ["theory of experiment 1, d = 3", "theory of experiment 1, d = 5"]
     assert {s.number for s in ends.values()}.isdisjoint({0, 1})
-    assert np.nanmax(ends["theory, d = 3"].x) > np.nanmax(ends["theory, d = 5"].x)
+    assert np.nanmax(ends["theory of experiment 1, d = 3"].x) > np.nanmax(ends["theory of experiment 1, d = 5"].x)
 
 
 def test_overlays_that_were_asked_for_are_drawn_or_the_caption_says_why_not() -> None:
     asked = Shown(overlays=("linear", "passive", "friction"))
-    figures = boundary_figures([experiment("1")], {"1": theory()}, "translation", asked, sweep=False)
+    result = experiment("1").model_copy(update={"passive": PassiveWall(stiffness=500, damping=2)})
+    figures = boundary_figures([result], {"1": theory()}, "translation", asked, sweep=False)
     (figure,) = (f for f in figures if f.identifier == "boundaries-loop")
     assert {"linear", "passive"} <= {s.kind for s in figure.panels[0].series}
     assert figure.caption.endswith("Not drawn: friction (no friction was found).")
+
+
+@pytest.mark.parametrize("wall", [None, PassiveWall(stiffness=500, damping=2)])
+def test_a_passive_region_is_drawn_where_the_logs_prove_a_passive_wall_alone(wall: PassiveWall | None) -> None:
+    """It would promise stability with every hand, although the delay jitters or a hand damps the device."""
+    asked = Shown(overlays=("linear", "passive"))
+    result = experiment("1").model_copy(update={"passive": wall})
+    (figure,) = boundary_figures([result], {"1": theory()}, "translation", asked, sweep=False)
+    kinds = {s.kind for s in figure.panels[0].series}
+    assert "linear" in kinds
+    assert ("passive" in kinds) == (wall is not None)
+    assert ("passive (not proven by these logs" in figure.caption) == (wall is None)
 
 
 def test_the_line_through_the_limits_is_drawn_between_its_dampings() -> None:
