@@ -443,7 +443,9 @@ def corrected(by: Forecast, ends: Floats, dampings: Floats) -> Forecast:
 
     ``ends`` (n, 2) contains the bracket at each damping. At dampings with a closed bracket, the errors of the forecast
     are interpolated over damping by a Gaussian process (kriging). Its standard deviation combines the misfit with the
-    error of the forecast, and its correlation length is `SMOOTH` times the range of dampings.
+    error of the forecast, and its correlation length is `SMOOTH` times the range of dampings. A
+    correction exceeds no error so far. Otherwise, two errors of opposite sign at the last dampings would give a larger
+    one beyond them.
     """
     low, high = ends.T
     largest = max(float(by.limit.max()), float(low.max())) or 1.0  # any value is valid if all are zero
@@ -457,7 +459,9 @@ def corrected(by: Forecast, ends: Floats, dampings: Floats) -> Forecast:
     toward = np.exp(-0.5 * apart**2) * size[:, None] * size[known]
     noise = (high - low)[known] / largest / np.sqrt(12)
     gain = np.linalg.solve(toward[known] + np.diag(noise**2 + 1e-8), toward.T).T
-    limit = np.maximum(by.limit + largest * (gain @ missed[known]), 0.0)
+    seen = missed[known]
+    correction = np.clip(gain @ seen, min(seen.min(), 0.0), max(seen.max(), 0.0))
+    limit = np.maximum(by.limit + largest * correction, 0.0)
     error = largest * np.sqrt(np.maximum(size**2 - (gain * toward).sum(axis=1), 1e-6))
     # Verdicts at other dampings do not exclude the device with the lowest limit here.
     low = np.clip(limit - (by.limit - by.low) * error / (largest * size), 0.0, by.low)

@@ -118,6 +118,20 @@ def test_what_a_forecast_missed_is_carried_on_to_neighbours_and_makes_it_unsure(
     assert corrected(by, ends, dampings).misfit == pytest.approx(0.16, abs=0.005)
 
 
+def test_a_correction_exceeds_no_error_so_far():
+    """As a falcon with friction: +987 and -127 N/m at the last two dampings made -1,377 N/m beyond them."""
+    dampings = np.array([0.0, 16, 32, 48, 64, 80, 96, 112, 128, 152, 168, 184])
+    limit = np.array([1762.0, 5857, 8948, 11234, 12797, 13609, 13589, 12613, 10527, 4651, 2, 2])
+    error = np.array([105.0, 40, 31, 42, 53, 68, 86, 112, 150, 38, 1, 1])
+    low = np.array([800.0, 6080, 8960, 11200, 12960, 13600, 14080, 13600, 10240, 0, 0, 0])
+    high = np.array([2240.0, 6400, 9280, 11360, 13120, 13760, 14240, 13760, 10400, np.inf, np.inf, np.inf])
+    found = corrected(Forecast(limit, error, low=limit, scale=13609.0), np.stack([low, high], axis=1), dampings)
+    missed = np.clip(limit, low, high) - limit
+    assert (missed.min(), missed.max()) == (-127, 987)
+    assert found.limit[9] == pytest.approx(4651 - 127)
+    assert (found.limit - limit <= 987).all()
+
+
 def test_no_wall_leaves_what_may_be_tried():
     aim = PlanGoal(DAMPINGS, lowest=1500.0, highest=8000.0)
     found, tried = campaign(parabola, aim, told(parabola))
