@@ -23,6 +23,10 @@ from pipeline.theory.predictions import Prediction, Predictions, Request, Theory
 DAMPED = "theory_damped"
 """Condition of the rows of theory with the measured damping."""
 
+OWN = "theory_of_"
+"""Beginning of the condition of theory with the stated device of an experiment, if the theory of its table has
+another one. The name of the experiment follows."""
+
 _NUMBERS = ("stiffness", "damping", "cost")
 
 
@@ -55,13 +59,16 @@ class TableBuilder:
                     result.append((loop, f"{criterion}{DISCRETE}"))
                     if table.kind != "delay" and self.data.scene.shown.has_table(table.name):
                         result.append((loop, criterion))
+                own = (self._own(table, experiment) for experiment in table.experiments)
+                result += [(theory.normalised, f"{criterion}{DISCRETE}") for theory in own if theory is not None]
         return list(dict.fromkeys(result))
 
     def rows(self, predictions: Predictions, results: Sequence[ExperimentNumbers]) -> tuple[ComparisonRow, ...]:
         """Return all rows, table after table.
 
         For each criterion, the rows of theory come before those of the experiments. One of them has the measured
-        damping of the experiment whose parameters theory uses, if it differs from the stated damping.
+        damping of the experiment whose parameters theory uses, if it differs from the stated damping. Theory of the
+        stated device of another experiment comes before this experiment, if the device is another one.
         """
         measured, damped = {r.experiment: r for r in results}, self.damped(results)
         stages = {e.experiment: e for e in self.data.experiments}
@@ -87,8 +94,19 @@ class TableBuilder:
                     # Without both, there is nothing to show. The experiment contains the reason.
                     if over_delay or discrete is not None or criterion in result.optimum:
                         parts = made_of(experiment, leader, criterion)
-                        rows.append(self._measured_row(table, criterion, result, theory, discrete, parts))
+                        row = self._measured_row(table, criterion, result, theory, discrete, parts)
+                        if (own := self._own(table, experiment)) is not None:
+                            condition = f"{OWN}{experiment}"
+                            rows.append(self._theory_row(table, criterion, own, DISCRETE, predictions, condition))
+                            row = _with_own(row, rows[-1].cost, made_of(experiment, experiment, criterion))
+                        rows.append(row)
         return tuple(rows)
+
+    def _own(self, table: TableLayout, experiment: str) -> Theory | None:
+        """Return the theory of an experiment if the theory of its table is that of another device, else None."""
+        own, leader = self.theories.get(experiment), self.theories.get(table.theory_from)
+        is_other = own is not None and leader is not None and own.loop != leader.loop
+        return own if table.kind != "delay" and is_other else None
 
     def damped(self, results: Sequence[ExperimentNumbers]) -> dict[str, Theory]:
         """Return theory with the measured damping for each experiment whose damping differs from the stated one."""
@@ -208,6 +226,13 @@ class TableBuilder:
 def _leading(table: TableLayout) -> tuple[str, ...]:
     """Return the experiments whose parameters theory uses. Over delay, theory follows each experiment."""
     return table.experiments if table.kind == "delay" else (table.theory_from,)
+
+
+def _with_own(row: ComparisonRow, theory: float | None, parts: Deviation | None) -> ComparisonRow:
+    """Return a measured row with its deviations from the theoretical cost of its own stated device."""
+    percent = 100 * (row.cost / theory - 1) if row.cost is not None and theory else None
+    model = parts.model if parts is not None and parts.steady else None
+    return row.model_copy(update={"own_deviation_percent": percent, "own_model_percent": model})
 
 
 def _region_note(prediction: Prediction) -> str | None:

@@ -225,6 +225,10 @@ class ComparisonRow(Record):
     a printed measurement from the printed theory. ``theory_mass``, ``theory_damping`` and ``theory_source`` state the
     device of a row of theory. ``margin`` is the stability limit at the damping of the wall, divided by its stiffness:
     theory's limit in rows of theory, and the lower end of the measured one in other rows.
+
+    A table may compare several experiments with the theory of one of them. Where the stated device of an experiment is
+    another one, ``own_deviation_percent`` is the deviation of its cost from the discrete theory of this device, and
+    ``own_model_percent`` the part of it that is due to the device. Both are null otherwise.
     """
 
     table: str
@@ -242,6 +246,8 @@ class ComparisonRow(Record):
     stiffness_deviation_percent: float | None = None
     damping_deviation_percent: float | None = None
     deviation: Deviation | None = None
+    own_deviation_percent: float | None = None
+    own_model_percent: float | None = None
     censored: bool = False
     note: str | None = None
     experiment: str | None = None

@@ -107,8 +107,10 @@ def units_of(columns: Iterable[str], motions: Collection[str] = FORCED) -> dict[
 def units_of_tables(motion: Motion) -> dict[str, str]:
     """Return the units of Tables D.1 to D.6."""
     wall = units_of(("stiffness", "damping"), {motion})
-    deviations = ("", "stiffness_", "damping_", "published_")
-    percent = dict.fromkeys((*(f"{name}deviation_percent" for name in deviations), *_PARTS[:-1]), "%")
+    deviations = ("", "stiffness_", "damping_", "published_", "own_")
+    percent = dict.fromkeys(
+        (*(f"{name}deviation_percent" for name in deviations), "own_model_percent", *_PARTS[:-1]), "%"
+    )
     return {
         **wall,
         **{f"published_{name}": u for name, u in wall.items()},

@@ -96,6 +96,8 @@ def condition_label(condition: str) -> str:
         "theory_continuous": "theory, continuous cost C",
         "theory_damped": "theory, C* with the measured damping",
     }
+    if condition.startswith("theory_of_"):
+        return f"theory, C* of experiment {condition.removeprefix('theory_of_')}"
     return known.get(condition, condition.replace("_", " "))
 
 

@@ -11,6 +11,7 @@ from labs import make_lab
 from pipeline.base.provenance import schema_folder
 from pipeline.comparison.experiment_result import nominal_theories
 from pipeline.comparison.scene.scene import layouts, open_scene
+from pipeline.comparison.summary.first_screen import answer
 from pipeline.comparison.thesis_tables_d import TableBuilder, condition_of
 from pipeline.device_data.devices import load_device
 from pipeline.loop.normalised_loop import NormalisedLoop
@@ -271,3 +272,30 @@ def test_a_row_with_the_measured_damping_is_next_to_that_with_the_stated_one(fal
         low, high = (middle, high) if inside else (low, middle)
     assert damped.margin == pytest.approx(low, abs=1e-5)
     assert rows[3].margin == results[0].optimum["settle_2pct"].margin
+
+
+def test_an_experiment_of_another_device_than_its_table_is_also_compared_with_its_own_theory(
+    falcon, falcon_outcome, one_process
+):
+    """Table D.1 compares experiment 2 (b = 2) with theory of experiment 1 (b = 4). Here, the roles are exchanged."""
+    data = open_scene("falcon", falcon.processed, None, ["settle_2pct"])
+    tables = tuple(t.model_copy(update={"theory_from": "2"}) for t in data.device.tables if t.name == "D.1")
+    data = dataclasses.replace(data, device=data.device.model_copy(update={"tables": tables}))
+    builder = TableBuilder(data, nominal_theories(data))
+    with Predictions(falcon.processed / "theory") as predictions:
+        predictions.start(builder.requests())
+        predictions.finish()
+        rows = [r for r in builder.rows(predictions, falcon_outcome.result.experiments) if r.criterion == "settle_2pct"]
+    assert [row.condition for row in rows] == ["theory_discrete", "theory_continuous", "theory_of_1", "experiment_1"]
+    of_table, _, own, measured = rows
+    assert (of_table.theory_damping, own.theory_damping) == (2.0, 4.0)
+    expected = optimal_point(NormalisedLoop.ideal(0.0, 4.0 * 1e-3 / 0.58, 4.0), "settle_2pct_discrete").cost
+    assert own.cost == pytest.approx(expected, rel=1e-9)
+    assert measured.deviation_percent == pytest.approx(100 * (measured.cost / of_table.cost - 1))
+    assert measured.own_deviation_percent == pytest.approx(100 * (measured.cost / own.cost - 1))
+    # the answer of experiment 1 is that of a comparison with its own table
+    usual = next(row for row in falcon_outcome.result.tables if row.condition == "experiment_1")
+    assert (usual.own_deviation_percent, usual.own_model_percent) == (None, None)
+    assert measured.own_model_percent == pytest.approx(usual.deviation.model)
+    reached = answer(data, data.experiments[0], falcon_outcome.result.experiments[0], rows).reachable
+    assert reached.optimum == pytest.approx(own.cost)

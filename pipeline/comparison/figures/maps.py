@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.base.wording import listed
 from pipeline.comparison.scene.scene import StoredData, layouts
 from pipeline.comparison.scores.deviation import FEWEST
 from pipeline.comparison.scores.local_planes import local_planes
@@ -187,10 +188,18 @@ def map_figures(
             own += [_measured_map(r, stages[r.experiment], criterion) for r in shown if criterion in r.optimum]
             if own:
                 figure = map_figure(table.name, criterion, own, data.units)
+                figure = replace(figure, caption=f"{figure.caption}{_other_devices(shown, theory, table.name)}")
                 # Experiments "a b" and "a-b" would share an identifier.
                 taken = f"-{len(found)}" if figure.identifier in found else ""
                 found[figure.identifier + taken] = replace(figure, identifier=figure.identifier + taken)
     return list(found.values())
+
+
+def _other_devices(shown: Sequence[ExperimentNumbers], theory: Theory | None, table: str) -> str:
+    """Return for which experiments theory would have another device, as a sentence after a space, or an empty text."""
+    others = [r.experiment for r in shown if theory and r.theory and r.theory.loop != theory.loop]
+    where = f"theory of this device is in {table_label(table)}"
+    return f" Experiment {listed(others)} has another stated device than theory; {where}." if others else ""
 
 
 def _theory_maps(

@@ -287,7 +287,11 @@ def _prediction(result: ExperimentNumbers, rows: Sequence[ComparisonRow], misled
     distance = result.scores[0].distance if result.scores else None
     if misled:
         return Prediction(code="unknown", reason=misled.rstrip("."))
-    costs = [abs(row.deviation.model) for row in rows if row.deviation and row.deviation.steady]
+    costs = [
+        abs(row.deviation.model if row.own_model_percent is None else row.own_model_percent)
+        for row in rows
+        if row.deviation and row.deviation.steady
+    ]
     percent = median(costs) if len(costs) >= FEWEST_COMPARISONS else None
     theory = result.scores[0] if result.scores else None
     judged = partial(
@@ -404,10 +408,11 @@ def _reachable(result: ExperimentNumbers, rows: Sequence[ComparisonRow]) -> Reac
         within=rule.within,
         optimum=next(
             (
-                row.cost / (1 + row.deviation_percent / 100)
+                row.cost / (1 + deviation / 100)
                 for row in rows
-                if row.experiment == result.experiment and row.criterion == "settle_2pct"
-                if row.cost is not None and row.deviation_percent is not None
+                if row.experiment == result.experiment and row.criterion == "settle_2pct" and row.cost is not None
+                for deviation in (row.own_deviation_percent, row.deviation_percent)
+                if deviation is not None
             ),
             None,
         ),

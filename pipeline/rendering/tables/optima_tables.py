@@ -20,6 +20,7 @@ from pipeline.rendering.labels import (
     table_label,
 )
 from pipeline.rendering.table import Column, Row, Table, is_sweep, table_of
+from pipeline.rendering.tables.boundary_tables import experiments_text
 from pipeline.rendering.tables.formats import (
     censored_note,
     digits,
@@ -82,6 +83,15 @@ def optima_tables(
                 why="no theory, or the cost of theory is zero",
                 optional=True,
             ),
+            Column(
+                "own_deviation_percent",
+                "from its own theory",
+                "%",
+                here,
+                show_percent,
+                why="the theory of the table is that of the experiment, or its cost is zero",
+                optional=True,
+            ),
             Column("published_stiffness", "K", "", "published", show_published, why="not published", optional=True),
             Column("published_damping", "B", "", "published", show_published, why="not published", optional=True),
             Column("published_cost", "cost", "", "published", show_published_cost, why="not published", optional=True),
@@ -119,8 +129,9 @@ def _theory_notes(rows: Sequence[Row], units: Units, *, swept: bool) -> list[str
             continue
         m, b = significant(row["theory_mass"], 3), significant(row["theory_damping"], 3)
         delay = "the delay d of the row" if swept else f"d = {significant(row['delay_samples'], 3)}"
-        source = row["theory_source"]
-        notes.append(f"Theory: m = {m} {units.mass}, b = {b} {units.damping}, {delay} ({source}).")
+        experiment = row["raw"].partition("theory_of_")[2]
+        whose = f"Theory of experiment {experiment}" if experiment else "Theory"
+        notes.append(f"{whose}: m = {m} {units.mass}, b = {b} {units.damping}, {delay} ({row['theory_source']}).")
     return list(dict.fromkeys(notes))
 
 
@@ -154,7 +165,9 @@ def damping_notes(rows: Sequence[Row], result: ComparisonResult, *, swept: bool)
             return []
         if any(each.low is None or each.high is None for each in known):
             return ["The logs do not determine the damping, so that its part in these deviations is unknown."]
-        return ["The damping of the logs agrees with the stated one, so that it explains none of these deviations."]
+        names = experiments_text([e.experiment for e in leaders], len(result.experiments))
+        words = "the damping of the logs agrees with the stated one, so that it explains none of these deviations"
+        return [f"{names}: {words}."]
     changes = "" if swept else _damping_change(theory, next(iter(damped.values())), UNITS[result.motion].damping)
     texts = {
         name: _changed_deviations([row for row in rows if row["criterion"] == name], damped, swept=swept)
