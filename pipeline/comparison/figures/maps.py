@@ -23,7 +23,19 @@ from pipeline.records.findings import Optimum
 from pipeline.records.results import ExperimentNumbers
 from pipeline.records.trials import Booleans, Floats
 from pipeline.rendering.figures.boundaries import AT_LEAST, by_theory, measured, untested
-from pipeline.rendering.figures.drawing import BLUE, GREEN, INK, PAPER, VERMILLION, Figure, Panel, Series, dots, reach
+from pipeline.rendering.figures.drawing import (
+    BLUE,
+    GREEN,
+    INK,
+    PAPER,
+    STEPS,
+    VERMILLION,
+    Figure,
+    Panel,
+    Series,
+    dots,
+    reach,
+)
 from pipeline.rendering.labels import (
     Units,
     cost_text,
@@ -86,8 +98,8 @@ RATIO_STEPS, OVERSHOOT_STEPS = (1.05, 1.1, 1.25, 1.5), (0.01, 0.02, 0.05, 0.1)
 One sensor step changes the overshoot by one percentage point.
 """
 
-SIZES, RING = (2.0, 4.0, 6.0, 8.5, 11.0), 2.6
-"""Sizes of the marks [px], from no deviation to the largest, and width of the ring of an open mark."""
+DOT, RING = 2.0, 2.6
+"""Size of the dot for no deviation, and width of the ring of an open mark [px]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -472,8 +484,8 @@ def departure_figures(data: StoredData, theories: Mapping[str, Theory], predicti
             differs = criterion_of(criterion).family.levels
             caption = (
                 f"Median {'difference in percentage points' if differs else 'deviation in percent'} of measured cost "
-                "from theory over the stable trials of a cell. Filled marks: larger, open marks: smaller, dots: less "
-                "than the smallest step. The size shows the deviation. Black: limit by theory."
+                f"from theory over the stable trials of a cell. Filled marks: larger, open marks: smaller, dots: less "
+                f"than {_step_texts(criterion)[0]}. Black: limit by theory."
             )
             about = (f"residual-{criterion}", f"Measured against theory, {name}", caption, tuple(panels), name)
             figures.append(Figure("residuals", *about, "measured against theory, all experiments", (350.0, 310.0)))
@@ -516,14 +528,23 @@ def _departure_panel(
     above, below = int((classes > 0).sum()), int((classes < 0).sum())
     words = f"Measured against theory in {len(off)} cells: median {middle}; larger in {above}, smaller in {below}."
     title = f"experiment {name}: median {middle}"
-    return Panel(title, names, (departures,), words, paint=partial(_marks, x, y, classes))
+    nothing = np.empty(0)
+    key = (Series(f"from {step} on", f"step {n}", nothing, nothing) for n, step in enumerate(_step_texts(criterion)))
+    return Panel(title, names, (departures, *key), words, paint=partial(_marks, x, y, classes))
+
+
+def _step_texts(criterion: str) -> list[str]:
+    """Return the deviations at which marks become larger as text, such as ``5 %``."""
+    if criterion_of(criterion).family.levels:
+        return [f"{100 * step:.0f} points" for step in OVERSHOOT_STEPS]
+    return [f"{100 * (step - 1):.0f} %" for step in RATIO_STEPS]
 
 
 def _marks(x: Floats, y: Floats, classes: np.ndarray, axes: Axes) -> None:
-    dots(axes, x[classes == 0], y[classes == 0], INK, SIZES[0])
+    dots(axes, x[classes == 0], y[classes == 0], INK, DOT)
     for value in sorted(set(classes.tolist()) - {0}):
         at: Booleans = classes == value
-        size = SIZES[abs(value)]
+        size = STEPS[abs(value) - 1]
         dots(axes, x[at], y[at], VERMILLION if value > 0 else BLUE, size, square=True)
         if value < 0:
             dots(axes, x[at], y[at], PAPER, size - RING, square=True)

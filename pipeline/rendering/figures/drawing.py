@@ -86,6 +86,9 @@ _DASHED, _DOTTED = (0, (5, 2)), (0, (1, 1.8))
 VARIANTS = (_DASHED, _DOTTED, (0, (5, 1.5, 1, 1.5)), (0, (9, 3)), (0, (5, 1.5, 1, 1.5, 1, 1.5)), (0, (2.5, 2.5)))
 """Dashes that distinguish the variants of a curve, such as theory for several delays."""
 
+STEPS = (4.0, 6.0, 8.5, 11.0)
+"""Sizes of square marks [px] for deviations of increasing size."""
+
 LOOKS: dict[str, dict[str, Any]] = {
     "others": {"color": INK, "lw": 0.8, "alpha": 0.45},
     "untested": {"color": GREY, "lw": 0.0, "fill": 0.16},
@@ -124,6 +127,7 @@ LOOKS: dict[str, dict[str, Any]] = {
     "estimate": {"color": BLUE, "ls": "none", "marker": "o", "ms": 6, "mew": 0, "interval": 1.4},
     "group": {"ls": "none", "ms": 4.5, "mew": 0, "interval": 1.4},
     "free run": {"color": VERMILLION, "lw": 1.2},
+    **{f"step {n}": {"color": INK, "ls": "none", "marker": "s", "ms": size, "mew": 0} for n, size in enumerate(STEPS)},
 }
 """Appearance of each kind of series, in the order of drawing and of the legend: arguments of `plot`; ``fill`` is the
 opacity of an area, ``dots`` the size of dots drawn as one path, ``interval`` the width of the bar from ``low`` to

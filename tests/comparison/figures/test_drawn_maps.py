@@ -9,7 +9,7 @@ from pipeline.comparison.experiment_result import nominal_theories
 from pipeline.comparison.figures.maps import departure_figures, departures, map_figures
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.comparison.thesis_tables_d import TableBuilder
-from pipeline.rendering.figures.drawing import draw
+from pipeline.rendering.figures.drawing import LOOKS, draw
 from pipeline.theory.predictions import Predictions
 
 pytestmark = pytest.mark.slow
@@ -75,6 +75,10 @@ def test_where_all_trials_cost_as_theory_says_no_departure_is_drawn(of_falcon):
     for panel in settling.panels:
         told = next(s for s in panel.series if s.kind == "hover")
         assert abs(np.median(told.value)) < 10
+        # the key of the marks has the sizes and the deviations from which they are drawn
+        key = {s.label: LOOKS[s.kind]["ms"] for s in panel.series if s.kind.startswith("step")}
+        assert key == {"from 5 % on": 4.0, "from 10 % on": 6.0, "from 25 % on": 8.5, "from 50 % on": 11.0}
+    assert "dots: less than 5 %" in settling.caption
 
 
 def test_departure_is_a_ratio_or_a_difference():
