@@ -117,10 +117,10 @@ OVERSHOOT = Family(
     "overshoot",
     "overshoot",
     scale=100.0,
-    # The first level is the edge of the region without overshoot. Smaller overshoot is invisible, and interpolation
-    # from exact zeros at a lower level follows the grid cells. Beyond the last level, contours merge with the stability
-    # boundary.
-    levels=(1e-3, *(0.1 * n for n in range(1, 11))),
+    # The first level is the edge of the region without overshoot. It is the coarsest resolution with which a log
+    # counts as free of overshoot, so that theory and logs are compared at one level. Beyond the last level, contours
+    # merge with the stability boundary.
+    levels=(1e-2, *(0.1 * n for n in range(1, 11))),
     none=1e-12,
     floor="overshoot_floor",
     term="Overshoot <i>C</i><sub>ov</sub> [%], (5.12)",

@@ -277,7 +277,8 @@ class Optimum(Record):
     is stable.
     ``scatter_percent`` is the scatter of single trials in the map of this cost. For the overshoot, ``resolution`` is
     the apparent overshoot due to sensor and noise in this log, as a fraction. ``free_of_overshoot`` states whether some
-    stable trial overshoots by no more than its resolution.
+    stable trial overshoots by no more than its resolution, and ``is_alone`` whether the stiffest such trial has none of
+    them next to it. It is then not part of a region without overshoot, but a lucky trial.
     """
 
     stiffness: float
@@ -296,6 +297,7 @@ class Optimum(Record):
     scatter_percent: float | None = None
     resolution: float | None = None
     free_of_overshoot: bool | None = None
+    is_alone: bool | None = None
 
     @property
     def at_border(self) -> bool | None:

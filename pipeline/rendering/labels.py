@@ -208,7 +208,8 @@ def overshoot_note(best: Optimum) -> str | None:
         return None
     threshold = f"{at_least(100 * best.resolution)} %"
     if best.free_of_overshoot:
-        return f"Without overshoot: up to {threshold} is within the resolution of this log (5.12)."
+        alone = " Walls next to it overshoot by more: it is no region, but a single trial." if best.is_alone else ""
+        return f"Without overshoot: up to {threshold} is within the resolution of this log (5.12).{alone}"
     return (
         f"No stable trial is known to be without overshoot; the resolution of this log is {threshold}. "
         "This is the least overshoot."

@@ -269,8 +269,8 @@ def map_figure(table: str, criterion: str, maps: Sequence[CostMap], units: Units
     top = family.levels[-1] if family.levels else FRONT_RANGE * max(lowest, default=1.0)
     levels = _levels(criterion, maps)
     lines = (
-        "every 10 percentage points; the heavy line surrounds the region without overshoot (theory: 0.1 %; dots: "
-        "trials within the resolution of their log, 1 % at most)"
+        f"every 10 percentage points; the heavy line surrounds overshoot up to {100 * family.levels[0]:g} %, the "
+        "coarsest resolution of a log that counts; dots: trials without overshoot within the resolution of their log"
         if family is OVERSHOOT
         else f"equal levels in all panels, two for each doubling of {cost_text(criterion, levels[_FROM_OPTIMUM])}"
         if levels.size
@@ -348,7 +348,8 @@ def _contours(shown: CostMap, criterion: str, levels: Floats, axes: Axes) -> Non
     """Draw labelled contour lines, heavier at each doubling, so that they can be counted in greyscale.
 
     Levels below the map's cost at its optimum are skipped, because they would exclude the plus. Single trials may have
-    lower costs by chance than the costs around them.
+    lower costs by chance than the costs around them. The optimum by overshoot is not the least cost, but the stiffest
+    wall without overshoot.
     """
     from matplotlib.colors import to_rgb
 
@@ -360,9 +361,8 @@ def _contours(shown: CostMap, criterion: str, levels: Floats, axes: Axes) -> Non
     opacity = dict(zip(levels.tolist(), np.linspace(1.0, 0.45, max(levels.size, 1)), strict=False))
     edge = criterion_of(criterion).family.levels[:1]
     heavy = dict(zip(levels.tolist(), np.arange(levels.size) % LINES_PER_DOUBLING == 0, strict=True))
-    least, most = _at_optimum(shown), float(shown.cost[known].max())
-    measured_overshoot = bool(edge) and shown.cost.ndim == 1
-    drawn = [x for x in levels.tolist() if least * (1 + 1e-3) < x < most and not (measured_overshoot and x <= edge[0])]
+    least, most = float(np.nanmin(shown.cost)) if edge else _at_optimum(shown), float(shown.cost[known].max())
+    drawn = [x for x in levels.tolist() if least * (1 + 1e-3) < x < most]
     factor = printed_scale(criterion)
     widths = [1.5 if (x <= edge[0] if edge else heavy[x]) else 0.9 for x in drawn]
     colours = [(*to_rgb(GREEN), opacity[x]) for x in drawn]
@@ -382,13 +382,6 @@ def _contours(shown: CostMap, criterion: str, levels: Floats, axes: Axes) -> Non
         )
     elif (triangles := _triangles(shown.stiffness, shown.damping)) is not None:
         lines = axes.tricontour(triangles, shown.cost, drawn, linewidths=widths, colors=colours) if drawn else None
-        if measured_overshoot:
-            # contours enclose the trials themselves, not values smoothed over their neighbours
-            own = {(k, b): cost for k, b, cost in shown.trials.T.tolist()}
-            walls = zip(shown.stiffness.tolist(), shown.damping.tolist(), strict=True)
-            free = np.array([float(own.get(wall, 1.0) <= 0) for wall in walls])
-            if 0 < free.sum() < len(free):
-                axes.tricontour(triangles, free, levels=[0.5], linewidths=[1.5], colors=[GREEN])
     if lines is not None:
         numbered = [x for x in drawn if not edge or x > edge[0]][:: 2 if edge else 1][:3]
         axes.clabel(lines, numbered, fmt=lambda level: significant(level * factor, 3), fontsize=10.5, colors=INK)

@@ -17,6 +17,10 @@ NEIGHBOURS = 20
 """Number of trials to which a parabola is fitted: a wall and its neighbours on a grid, three trials for each
 coefficient."""
 
+AROUND, FEWEST_AROUND = 8, 2
+"""Number of walls next to a wall on a grid, and smallest number of them that connect it to a region. One of them may be
+as lucky as the wall itself."""
+
 _TO_DEVIATION = 1.482602218505602
 """Ratio of standard deviation to median absolute deviation of a normal distribution."""
 
@@ -50,6 +54,24 @@ def near_optimum(near: Booleans, stiffness: Floats, damping: Floats) -> NearOpti
         damping_high=float(B.max()),
         trials=int(near.sum()),
     )
+
+
+def is_alone(member: Booleans, stiffness: Floats, damping: Floats, of_stiffness: float, of_damping: float) -> bool:
+    """Return whether a wall has too few members of a region next to it to be part of the region.
+
+    Parameters
+    ----------
+    member : bool, shape (n,)
+        Trials in the region.
+    stiffness, damping : float64, shape (n,)
+        K [N/m, Nm/rad] and B [Ns/m, Nms/rad] of the trials, which include the wall.
+    of_stiffness, of_damping : float
+        K and B of the wall.
+    """
+    away = np.hypot((stiffness - of_stiffness) / _step_of(stiffness), (damping - of_damping) / _step_of(damping))
+    order = np.lexsort((damping, stiffness, np.round(away, 9)))
+    nearest = order[away[order] > 0][:AROUND]
+    return bool(member[nearest].sum() < FEWEST_AROUND)
 
 
 def cost_scatter(cost: Floats, stiffness: Floats, damping: Floats) -> float | None:

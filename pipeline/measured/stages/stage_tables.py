@@ -25,7 +25,13 @@ from pipeline.base.provenance import code_digest, digest, stamp
 from pipeline.base.wording import commonest
 from pipeline.device.parameters import Motion
 from pipeline.measured.experiment.best_trial import choose_optimum, without_overshoot
-from pipeline.measured.experiment.optimum_place import cost_scatter, near_optimum, nearly_as_good, stable_damping_range
+from pipeline.measured.experiment.optimum_place import (
+    cost_scatter,
+    is_alone,
+    near_optimum,
+    nearly_as_good,
+    stable_damping_range,
+)
 from pipeline.measured.experiment.stored import Verdicts
 from pipeline.measured.stages.stage_needs import NEEDS, SPRUNG, cost_column
 from pipeline.records.criteria import criterion_of
@@ -428,6 +434,7 @@ class ExperimentStages:
         trial = trials.index(str(best.trial_id))
         if (floors := self.floor(criterion)) is not None:
             place |= {"resolution": float(floors[trial]), "free_of_overshoot": bool(free.any())}
+            place["is_alone"] = is_alone(free, K, B, best.stiffness, best.damping) if free.any() else None
         low, high = (float(ends[trial]) for ends in self.cost_interval(criterion))
         interval = {"cost_low": None if np.isnan(low) else low, "cost_high": None if np.isnan(high) else high}
         return Optimum(**{**dict(best), **interval, **place, "trials": int(np.isfinite(cost).sum())})

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matplotlib.contour import ContourSet
+from matplotlib.figure import Figure
 
-from pipeline.comparison.figures.maps import CostMap, _at_optimum, _levels
+from pipeline.comparison.figures.maps import CostMap, _at_optimum, _contours, _levels
 from pipeline.loop.normalised_loop import NormalisedLoop
+from pipeline.measured.experiment.best_trial import LARGEST_OVERSHOOT_FLOOR
 from pipeline.records.findings import Optimum
 from pipeline.theory.costs import cost_maps
 from pipeline.theory.curves import best_damping, best_stiffness
@@ -81,3 +84,25 @@ def test_no_line_is_drawn_that_the_plus_would_lie_outside_of(grid):
     smooth = np.maximum(trials.cost, 1.3 * trials.optimum.cost)
     shown = CostMap("experiment", trials.stiffness, trials.damping, smooth, (), trials.optimum, trials.trials)
     assert _at_optimum(shown) == pytest.approx(1.3 * trials.optimum.cost)
+
+
+def test_the_region_without_overshoot_has_one_level_for_theory_and_logs():
+    """Otherwise, the same device would have a smaller region in its logs than in theory."""
+    K, B = np.linspace(100, 8000, 41), np.linspace(0, 184, 24)
+    cost = np.maximum(0.0, (K[None, :] - 5000) / 5000 + 0 * B[:, None]) + 0.004
+    k, b = (values.ravel() for values in np.meshgrid(K, B))
+    stiffest = Optimum(stiffness=7000.0, damping=100.0, cost=0.4)
+    theory = CostMap("theory", K, B, cost, (), stiffest, np.empty((3, 0)))
+    logs = CostMap("experiment", k, b, cost.ravel(), (), stiffest, np.stack([k, b, cost.ravel()]))
+    levels = _levels("overshoot", [theory, logs])
+    assert levels[0] == LARGEST_OVERSHOOT_FLOOR
+    edges = []
+    for shown in (theory, logs):
+        axes = Figure().add_subplot()
+        _contours(shown, "overshoot", levels, axes)
+        (drawn,) = (each for each in axes.collections if isinstance(each, ContourSet))
+        heavy = drawn.get_paths()[list(drawn.levels).index(levels[0])]
+        assert max(drawn.get_linewidths()) == 1.5
+        edges.append(float(heavy.vertices[:, 0].mean()))
+    # 0.4 % and a fifth of a permille per N/m beyond 5,000 N/m
+    assert edges == pytest.approx([5030.0, 5030.0], abs=100.0)

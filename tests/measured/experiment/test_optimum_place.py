@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.measured.experiment.optimum_place import cost_scatter, near_optimum, nearly_as_good, stable_damping_range
+from pipeline.measured.experiment.optimum_place import (
+    cost_scatter,
+    is_alone,
+    near_optimum,
+    nearly_as_good,
+    stable_damping_range,
+)
 from pipeline.records.findings import BoundaryPoint, DampingRange, Optimum
 from pipeline.theory.costs import point_costs_by_name
 from pipeline.theory.optimum import optimal_point
@@ -130,3 +136,14 @@ def test_an_optimum_is_close_to_the_border_in_stiffness_or_in_damping(margin, lo
     if close is not False:
         assert best.model_copy(update={"damping_range": untested}).at_border is by_stiffness, "the tested range ends"
     assert best.model_copy(update={"damping_range": None}).at_border is by_stiffness
+
+
+def test_a_wall_without_overshoot_is_alone_where_its_neighbours_overshoot():
+    """As a Falcon: the region without overshoot ends at 3,000 N/m, and one trial at 6,800 N/m is lucky."""
+    K, B = (values.ravel() for values in np.meshgrid(np.arange(400.0, 8001, 400), np.arange(0.0, 185, 8)))
+    free = 3000 - 20 * np.abs(B - 104) >= K
+    lucky = free | ((K == 6800) & (B == 128))
+    assert is_alone(lucky, K, B, 6800.0, 128.0)
+    # the stiffest wall of the region is at its tip, and not alone
+    assert free[(K == 2800) & (B == 104)].all()
+    assert not is_alone(free, K, B, 2800.0, 104.0)

@@ -314,12 +314,14 @@ def test_a_table_states_once_with_which_device_theory_was_computed(result: Compa
 
 
 @pytest.mark.parametrize(("free", "words"), [(True, "Without overshoot: up to 0.92 %"), (False, "No stable trial is")])
-def test_an_optimum_by_overshoot_states_its_threshold(result: ComparisonResult, free, words) -> None:
+@pytest.mark.parametrize("alone", [True, False])
+def test_an_optimum_by_overshoot_states_its_threshold(result: ComparisonResult, free, words, alone) -> None:
     best = Optimum(stiffness=6800, damping=128, cost=0.0081, trial_id="a", trials=9, resolution=0.0092,
-                   free_of_overshoot=free)  # fmt: skip
+                   free_of_overshoot=free, is_alone=alone)  # fmt: skip
     first = result.experiments[0].model_copy(update={"optimum": {"overshoot": best}})
     (table,) = tables_of(result.model_copy(update={"experiments": (first,)}))["measured_optima"]
     assert any(note.startswith(words) for note in table.notes)
+    assert any("it is no region, but a single trial" in note for note in table.notes) == (free and alone)
 
 
 def test_a_distance_from_the_limit_is_rounded_down_and_agrees_with_its_word(result: ComparisonResult) -> None:

@@ -4,7 +4,7 @@
 const NEAR = 14; // largest distance [px] of the pointer from a trial that it means
 const SHADES = 6;
 const RATIOS = [1.1, 1.25, 1.5, 2, 4]; // cost over the least cost, upper ends of the shades
-const PERCENTS = [0.1, 10, 25, 50, 75]; // the same for overshoot, whose least value is 0
+const PERCENTS = [1, 10, 25, 50, 75]; // the same for overshoot, whose least value is 0
 
 /** Colour of the page's style sheet. */
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
