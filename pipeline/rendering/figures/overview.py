@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.records.criteria import criterion_of
 from pipeline.records.models import ComparisonRow
 from pipeline.records.results import ChangeCode, ComparisonResult, ExperimentNumbers
 from pipeline.records.trials import Floats
@@ -25,6 +26,7 @@ from pipeline.rendering.labels import (
     shortened,
     significant,
     unit_text,
+    with_unit,
 )
 from pipeline.rendering.table import is_sweep, records
 
@@ -157,13 +159,18 @@ def delay_figure(rows: Sequence[ComparisonRow]) -> list[Figure]:
             top = 1.05 * max(float(s.y.max()) for s in series)
             name, words = criterion_label(criterion), f"Optimal cost over delay: {costs}."
             limits = None, (0.0, top or 1.0)
-            panels.append(Panel(name, ("total delay d [samples]", name), tuple(series), words, limits))
+            axes = "total delay d [samples]", with_unit("optimal cost", criterion_of(criterion).family.printed_unit)
+            panels.append(Panel(name, axes, tuple(series), words, limits))
         caption = (
             "Costs of the sampled response at the optimum, theory and experiment. What theory costs on the walls that "
             "were tested is no error of theory: the optimum lies between them. In the manner of Fig. 6.12."
         )
         if any(row.condition == "theory_damped" for row in own):
             caption += " Dashed: theory with the damping that the logs show in place of the device file's."
+        else:
+            caption += " A dashed curve for another damping is drawn only if the logs show one."
+        if any(row.published_cost is not None for row in own if not row.condition.startswith("theory")):
+            caption += " Circles: costs in the thesis, measured on the real device; they do not depend on these logs."
         name, title = f"delay{len(figures) or ''}", "Optimal costs over delay"
         figures.append(Figure("delay", name, title, caption, tuple(panels), size=(440.0, 300.0)))
     return figures
@@ -187,7 +194,7 @@ def _over_delay(rows: Sequence[ComparisonRow]) -> Iterator[tuple[str, str, list[
     yield "theory", "line", list(theory.items())
     yield "theory on the tested walls", "linear", tested
     yield "experiment", "optimum", [(row.delay_samples or 0.0, row.cost or 0.0) for row in measured]
-    yield "printed measurement", "mark", printed
+    yield "printed in the thesis", "mark", printed
     damped = [(row.delay_samples or 0.0, row.cost or 0.0) for row in rows if row.condition == "theory_damped"]
     yield "theory, measured damping", "theory", damped
 

@@ -41,6 +41,11 @@ PARTS = (
 )
 
 
+TESTED_WALLS = (
+    "Walls: cost of theory at the best tested wall, against its optimum between or beyond the tested walls. This part "
+    "of a deviation is due to the choice of the walls, and is no error of theory."
+)
+
 _SIDES = {"theory_discrete": "theory", "theory_damped": "damped"}
 """Columns of the form of Table D.6, by condition. Other conditions are experiments."""
 
@@ -266,6 +271,7 @@ def delay_form_table(rows: Sequence[Row]) -> Table | None:
         line[f"{row['criterion']}/{side}"] = row["cost"]
         if side == "experiment":
             line[f"{row['criterion']}/deviation"] = row["deviation_percent"]
+            line[f"{row['criterion']}/tested"] = _tested_percent(row)
     columns = [Column("delay", "d", "samples", show=digits(3))]
     for name in criteria:
         show, group = show_by(partial(cost_text, name)), criterion_label(name)
@@ -274,12 +280,30 @@ def delay_form_table(rows: Sequence[Row]) -> Table | None:
             -1,
             Column(f"{name}/damped", "with measured damping", "", group, show, why="no other damping", optional=True),
         )
-        columns.append(Column(f"{name}/deviation", "deviation", "%", group, show_percent, why="no theory or no cost"))
+        why, aside = "no theory or no cost", partial(_tested_text, name)
+        columns.append(Column(f"{name}/deviation", "deviation", "%", group, show_percent, aside=aside, why=why))
     caption = f"{table_label(swept)}: optimal costs of the sampled response over total delay"
     ordered = [lines[delay] for delay in sorted(lines)]
-    return table_of(
+    table = table_of(
         "delay_form", caption[:1].upper() + caption[1:], columns, ordered, lambda row: f"d={row['delay']:g}"
     )
+    if table is not None and any(_tested_text(name, line) for name in criteria for line in ordered):
+        table.mark(TESTED_WALLS)
+    return table
+
+
+def _tested_percent(row: Row) -> float | None:
+    """Return how much the choice of tested walls alone raises the cost of theory, in percent. None if unknown."""
+    if row["grid"] is None or row["range"] is None:
+        return None
+    return float(100 * ((1 + row["grid"] / 100) * (1 + row["range"] / 100) - 1))
+
+
+def _tested_text(criterion: str, row: Row) -> str:
+    """Return the part of a deviation that is due to the tested walls as text. It is empty if it prints as zero."""
+    percent = row.get(f"{criterion}/tested")
+    text = percent_text(percent) if percent is not None else ""
+    return "" if text in ("", percent_text(0.0)) else f"walls {text}"
 
 
 def _named(rows: Sequence[Row]) -> Callable[[Row], str]:

@@ -11,6 +11,7 @@ from report_data import estimate, report_data
 
 from pipeline.device.parts import LoopTable
 from pipeline.records.findings import DampingRange, Optimum, Quantity
+from pipeline.records.models import Deviation
 from pipeline.records.results import (
     Answer,
     AnswerEstimate,
@@ -119,6 +120,26 @@ def test_costs_over_delay_stand_in_the_form_of_table_d6(result: ComparisonResult
     assert cells["settle_2pct/theory"] == cost_text("settle_2pct", theory.cost)
     assert cells["settle_2pct/experiment"] == cost_text("settle_2pct", measured.cost)
     assert cells["settle_2pct/deviation"] == percent_text(measured.deviation_percent)
+
+
+def test_the_share_of_the_tested_walls_is_next_to_a_deviation_over_delay(result: ComparisonResult) -> None:
+    """As the joint with 8 samples of delay: all of +105 % came from steps of 400 Nm/rad."""
+    parts = Deviation(range=0.0, grid=105.0, model=0.0, selection=0.0, model_low=-1.0, model_high=1.0)
+    rows = [
+        row.model_copy(update={"deviation": parts, "published_cost": 49.0} if row.condition == "experiment" else {})
+        for row in result.tables
+    ]
+    coarse = result.model_copy(update={"tables": tuple(rows)})
+    (table,) = tables_of(coarse)["delay_form"]
+    deviations = [row["settle_2pct/deviation"] for row in cells(table)]
+    assert all(text.endswith("walls +105.0") for text in deviations)
+    assert any(note.startswith("Walls: cost of theory at the best tested wall") for note in table.notes)
+    (fine,) = tables_of(result)["delay_form"]
+    assert not any("walls" in row["settle_2pct/deviation"] for row in cells(fine))
+    assert fine.notes == []
+    (figure,) = delay_figure(coarse.tables)
+    assert "printed in the thesis" in {s.label for s in figure.panels[0].series}
+    assert "measured on the real device; they do not depend on these logs" in figure.caption
 
 
 def known(reason=None):
