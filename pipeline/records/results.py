@@ -631,16 +631,19 @@ class Answer(Record):
     step.
 
     ``experiment`` is the experiment described. The wall was chosen from ``wall_trials`` neighbouring good trials, or by
-    itself for the reason in ``wall_reason``. If no wall is recommended, ``safest`` is the stable tested wall whose
-    motion decays fastest. ``spacing_percent`` is the spacing of the tested walls if theory's optimum lies between them.
-    If ``next`` is null without ``next_reason``, verdicts bracket the limits at ``limits_told`` of the ``limits_wanted``
-    dampings, and cannot bracket the others.
+    itself for the reason in ``wall_reason``. ``wall_costs`` are the costs of these trials by ``wall_criterion``, the
+    criterion of the choice. They are null if no cost decided, or if there is a single trial. If no wall is recommended,
+    ``safest`` is the stable tested wall whose motion decays fastest. ``spacing_percent`` is the spacing of the tested
+    walls if theory's optimum lies between them. If ``next`` is null without ``next_reason``, verdicts bracket the
+    limits at ``limits_told`` of the ``limits_wanted`` dampings, and cannot bracket the others.
     """
 
     experiment: str
     wall: UsePoint | None
     wall_reason: str = ""
     wall_trials: int = 0
+    wall_criterion: str = ""
+    wall_costs: CostRange | None = None
     safest: TestedWall | None = None
     spacing_percent: float | None = None
     estimates: tuple[AnswerEstimate, ...] = ()

@@ -135,6 +135,8 @@ def answer(
         wall=wall,
         wall_reason=result.use_reason or "",
         wall_trials=result.use.trials if result.use else 0,
+        wall_criterion=result.use.criterion if result.use else "",
+        wall_costs=result.use.costs.get(result.use.criterion) if result.use and result.use.trials > 1 else None,
         safest=None if wall is not None or misled else _safest(stages),
         spacing_percent=_spacing(result, rows, stages),
         estimates=_estimates(result, data.units, limit=not misled),
@@ -353,7 +355,7 @@ def _too_few_limits(result: ExperimentNumbers, distance: DistanceScore) -> str:
     at = f"; record more, for example at B = {listed([f'{B:g}' for B in unknown[:3]])}" if unknown else ""
     near_zero = " (those near K = 0 are left out)" if distance.near_zero else ""
     text = f"{counted(distance.dampings, 'limit')} to compare{near_zero}, {FEWEST_COMPARISONS} are needed{at}"
-    if distance.bounded:
+    if distance.bounded and result.scores[0].basis != "estimates":  # such a theory agrees with its own logs
         text += f". {distance.agreeing} of {distance.bounded} agree with theory within their interval"
     best = max(result.loop_boundary or (), key=lambda limit: limit.stiffness, default=None)
     if best is None:

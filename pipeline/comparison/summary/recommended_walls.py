@@ -196,7 +196,7 @@ def _judged(result: MeasuredExperiment, stages: ExperimentStages) -> tuple[Boole
 def _too_few(criterion: str, known: int, stable: int) -> str:
     if known == stable:
         return f"no {FEWEST} neighbours have a low {criterion_name(criterion)}"
-    return f"only {known} of {stable} stable trials have a {criterion_name(criterion)}"
+    return f"only {known} of {stable} stable trials with K > 0 have a {criterion_name(criterion)}"
 
 
 def _described(
@@ -255,11 +255,16 @@ def _not_chosen(
     K, B, at = least.stiffness, least.damping, trials.index(least.trial_id)
     margin = float(room_at(limits, np.array([B]))[0]) / K
     if margin < NARROW:
-        why = f"its limit may be at {at_least(margin)} × K"
+        at_least_known = bool(limits.censored[limits.damping == B].any())
+        why = (
+            "too few stiffer walls were tested there"
+            if at_least_known
+            else f"its limit may be at {at_least(margin)} × K"
+        )
     elif not tested.usable[at]:
         why = "it overshoots, or a harder push is unstable"
     else:
-        why = "walls around it cost more" if tested.finished[at] else "it did not come to rest undisturbed"
+        why = "its neighbours cost more" if tested.finished[at] else "it did not come to rest undisturbed"
     cost = cost_range_text(criterion, least.cost, least.cost)
     return f"{cost} at K = {stiffness_text(K)}, B = {damping_text(B)}: {why}"
 

@@ -37,7 +37,7 @@ FILTERS = {
     "at_most": labels.at_most,
     "capitalised": lambda text: text[:1].upper() + text[1:],
     "size": labels.size_text,
-    "cost": lambda cost, criterion: labels.cost_range_text(criterion, cost, cost),
+    "cost": lambda low, criterion, high=None: labels.cost_range_text(criterion, low, low if high is None else high),
     "rounded": labels.estimate_texts,
     "answer": labels.answer_texts,
     "percent": labels.percent_text,

@@ -232,6 +232,19 @@ def test_costs_are_told_by_the_median_of_five_or_more(data, result):
     assert told(data, result, [*[row(-5.0)] * 5, row(90.0, steady=False)]).predicts.costs_percent == 5.0
 
 
+def test_the_wall_is_named_with_the_range_of_costs_around_it_and_the_least_cost(data, result):
+    """47 samples next to 24 of theory and 30 of the best trial: the reader must see why it is none of these."""
+    use = result.experiments[0].use
+    found = told(data, result)
+    assert (found.wall_criterion, found.wall_costs) == (use.criterion, use.costs[use.criterion])
+    line = lines_of(result.model_copy(update={"answer": found}))[0]
+    low, high = (f"{end:g}" for end in (found.wall_costs.low, found.wall_costs.high))
+    assert f"Chosen from {use.trials} good trials ({low} to {high} samples)" in line
+    assert f"Least cost, not chosen: {use.point.better}." in line
+    alone = told(data, result, use=use.model_copy(update={"trials": 1}))
+    assert alone.wall_costs is None
+
+
 def test_a_coarse_grid_is_said_as_such(data, result):
     assert told(data, result, [row(0.0, grid=COARSE / 2)]).spacing_percent is None
     found = told(data, result, [row(0.0, grid=2 * COARSE)])
@@ -297,7 +310,7 @@ def test_boundary_and_costs_are_judged_apart(data, result):
     line = lines_of(result.model_copy(update={"answer": few}))[2]
     assert "Boundary: partly. Limits agree with theory within 0.1 % (device file, d = 4; median of " in line
     assert "; 9 of 20 deviate by more than their interval (9 above)." in line
-    assert "Costs: not known. 0 optimal costs to compare; 5 are needed." in line
+    assert "Costs: not known. Needs 5 costs, has 0." in line
     straight = distance.model_copy(update={"bounded": 20, "agreeing": 19, "above": 0})
     found = told(data, result, [row(40.0)] * 5, scores=scored(result, distance=straight)).predicts
     assert (found.boundary, found.optimal_costs, found.below) == ("yes", "no", 1)
@@ -314,9 +327,9 @@ def test_the_best_settling_time_is_that_of_the_delay(data, result):
     assert found.reached == result.experiments[0].optimum["settle_2pct"].cost
     # the printed optimum is that of theory for this loop (Table C.2, d = 4), not that of the rule
     assert found.optimum == pytest.approx(24.0)
-    assert "Theory's best: 24 samples = 24 ms." in lines_of(result)[0]
+    assert "Theory's optimum: 24 samples = 24 ms." in lines_of(result)[0]
     without = result.answer.model_copy(update={"reachable": told(data, result, []).reachable})
-    assert "Theory's best: 24.5 samples = 24.5 ms." in lines_of(result.model_copy(update={"answer": without}))[0]
+    assert "Theory's optimum: 24.5 samples = 24.5 ms." in lines_of(result.model_copy(update={"answer": without}))[0]
     assert told(data, result, sampling_period_s=None).reachable is None
 
 

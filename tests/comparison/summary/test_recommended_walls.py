@@ -144,7 +144,7 @@ def test_the_trial_of_the_least_cost_is_named_with_the_reason_against_it(course_
     inside = (use.stiffness_low <= K) & (use.stiffness_high >= K) & (use.damping_low <= B) & (use.damping_high >= B)
     far = (stages.verdicts.verdict == "stable") & (K > 0) & ~inside & ~(stages.sure_cost("overshoot") > CALM)
     for at, why in (
-        (np.flatnonzero(far & (room > 2) & (0.5 * use.stiffness_low > K))[0], "walls around it cost more"),
+        (np.flatnonzero(far & (room > 2) & (0.5 * use.stiffness_low > K))[0], "its neighbours cost more"),
         (np.flatnonzero(far & (room < NARROW))[0], "its limit may be at "),
     ):
         lucky = np.where(np.arange(len(K)) == at, 1.0, cost)
