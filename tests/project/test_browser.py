@@ -407,10 +407,21 @@ def test_print_shows_what_is_open_with_heads_on_each_page(browser: Any, measured
             "[...document.querySelectorAll('thead')].every((e) => getComputedStyle(e).display === 'table-header-group')"
         )
         assert page.evaluate(repeated)
+        # a browser draws no button in a repeated head
+        displayed = "[...document.querySelectorAll('thead button')].map((e) => getComputedStyle(e).display)"
+        assert set(page.evaluate(displayed)) == ({"contents"} if scripts else set())
+        # each criterion has its cost map on paper, and each experiment its answers
+        maps = page.locator(".viewer figure[data-show^=costs]").all()
+        assert len(maps) > 3
+        assert all(each.is_visible() for each in maps)
+        for each in page.locator("details.other .answers").all():
+            assert each.bounding_box()["height"] > 100
+        whole = "[...document.querySelectorAll('figure, .warnings')].map((e) => getComputedStyle(e).breakInside)"
+        assert set(page.evaluate(whole)) == {"avoid"}
         pdf = page.pdf(prefer_css_page_size=True)
     sizes = set(re.findall(rb"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", pdf))
     assert {(round(float(w)), round(float(h))) for w, h in sizes} == {(595, 842)}  # A4 in points, upright
-    assert 4 < len(re.findall(rb"/Type /Page\b", pdf)) <= 8
+    assert 4 < len(re.findall(rb"/Type /Page\b", pdf)) <= 10
 
 
 def test_one_experiment_prints_on_six_sheets(browser: Any, lwr: Any, falcon_outcome: Outcome, tmp_path: Path) -> None:
@@ -447,6 +458,13 @@ def test_all_five_answers_are_above_the_fold(browser: Any, sweep: Any, falcon_ou
         assert all(each.bounding_box()["x"] + each.bounding_box()["width"] <= 390 for each in shown)
         hint = "getComputedStyle(document.querySelector('.overview'), '::before').content"
         assert "Scrolls sideways" in page.evaluate(hint)
+        # scrolled sideways, a row keeps its name, and its caption stays in the page
+        page.evaluate("document.querySelector('.overview').scrollLeft = 250")
+        assert page.locator(".overview tbody tr:first-child > :first-child").bounding_box()["x"] >= 0
+        caption = page.locator(".overview caption").bounding_box()
+        assert caption["x"] >= 0
+        assert caption["x"] + caption["width"] <= 390
+        assert page.locator(".up").is_visible()
 
 
 def test_one_figure_of_costs_is_shown_and_chosen_by_lists_and_address(browser: Any, measured: Path) -> None:

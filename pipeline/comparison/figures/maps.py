@@ -108,7 +108,8 @@ class CostMap:
     trials.
 
     ``stiffness``, ``damping`` and ``cost`` have shape (n,) for points, and shapes (p,), (q,) and (q, p) for a grid.
-    ``trials`` contains stiffness, damping and cost of the single trials, shape (3, m).
+    ``trials`` contains stiffness, damping and cost of the single trials, shape (3, m). ``tested`` is the largest tested
+    damping, which is infinite for theory.
     """
 
     label: str
@@ -118,6 +119,7 @@ class CostMap:
     boundary: tuple[Series, ...]
     optimum: Optimum | None
     trials: Floats
+    tested: float = np.inf
 
     @property
     def least(self) -> tuple[Floats, Floats]:
@@ -247,7 +249,8 @@ def _measured_map(result: ExperimentNumbers, stages: ExperimentStages, criterion
     edge = (replace(limit, kind="edge"), *bounds)
     smooth = _smoothed(K[drawn], B[drawn], cost[drawn], criterion)
     trials = np.stack([K[shown], B[shown], cost[shown]])
-    return CostMap(name, K[drawn], B[drawn], smooth, edge, result.optimum.get(criterion), trials)
+    tested = float(B[K > 0].max(initial=0.0))
+    return CostMap(name, K[drawn], B[drawn], smooth, edge, result.optimum.get(criterion), trials, tested)
 
 
 def _smoothed(K: Floats, B: Floats, cost: Floats, criterion: str) -> Floats:
@@ -287,12 +290,7 @@ def map_figure(table: str, criterion: str, maps: Sequence[CostMap], units: Units
     )
     region = max((float(s.y.max()) for m in maps if m.cost.ndim == 2 for s in m.boundary), default=0.0)
     corner = limits[0][1], limits[1][1]
-    shown = [
-        replace(m, boundary=(*untested(m.trials[1].max(initial=0.0), region, corner), *m.boundary))
-        if m.trials.size
-        else m
-        for m in maps
-    ]
+    shown = [replace(m, boundary=(*untested(m.tested, region, corner), *m.boundary)) for m in maps]
     panels = tuple(_map_panel(each, criterion, limits, top, units, levels) for each in shown)
     drawn = {s.kind for m in shown for s in m.boundary}
     caption += f" {AT_LEAST}" if "bound" in drawn else ""

@@ -79,6 +79,9 @@ RC: Any = {
 MISSING_GLYPH = r"Glyph \d+ .* missing from font"
 """Matplotlib's warning about a character that its font lacks."""
 
+TAG_WIDTH, TAG_HEIGHT = 5.0, 11.0
+"""Width of a character and height of a line of the names of curves [px]."""
+
 LARGER = 1.4
 """Largest text size in print and on a phone, relative to the drawing. Legends leave room for this size."""
 
@@ -425,6 +428,7 @@ def _paint(axes: Axes, panel: Panel) -> None:
         panel.paint(axes)
     for series in sorted(panel.series, key=lambda series: order.index(series.kind)):
         _paint_series(axes, series, f"{order.index(series.kind):02d}")
+    _name_curves(axes, [series for series in panel.series if series.tag])
     if panel.ticks:
         axes.set_xticks(range(len(panel.ticks)), panel.ticks, fontsize=9.0)
 
@@ -475,20 +479,32 @@ def _paint_series(axes: Axes, series: Series, place: str) -> None:
         axes.fill([], [], fc=(look["color"], fill), ec=look["color"], lw=look.get("lw", 0.0), **named)
         return
     axes.plot(x, y, **look, **named)
-    seen = (x <= axes.get_xlim()[1]) & (y <= axes.get_ylim()[1]) & np.isfinite(x)
-    if series.tag and seen.any():
-        farthest = int(np.argmax(np.where(seen, x, -np.inf)))
-        box: dict[str, Any] = {"facecolor": PAPER, "edgecolor": "none", "pad": 0.6, "alpha": 0.8}
-        axes.annotate(
-            shortened(series.tag, 14),
-            (x[farthest], y[farthest]),
-            xytext=(2, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=8.0,
-            annotation_clip=True,
-            bbox=box,
-        )
+
+
+def _name_curves(axes: Axes, named: Sequence[Series]) -> None:
+    """Write the tag of each curve at its visible point with the largest x.
+
+    From the top down, a name that would cover another one is written below it.
+    """
+    box: dict[str, Any] = {"facecolor": PAPER, "edgecolor": "none", "pad": 0.6, "alpha": 0.8}
+    names = []
+    for series in named:
+        seen = (series.x <= axes.get_xlim()[1]) & (series.y <= axes.get_ylim()[1]) & np.isfinite(series.x)
+        if seen.any():
+            farthest = int(np.argmax(np.where(seen, series.x, -np.inf)))
+            at = float(series.x[farthest]), float(series.y[farthest])
+            text = axes.annotate(
+                shortened(series.tag, 14), at, (2, 0), textcoords="offset points", va="center", fontsize=8.0, bbox=box
+            )
+            names.append((*axes.transData.transform(at).tolist(), text))
+    taken: list[tuple[float, float, float]] = []
+    for x, y, text in sorted(names, key=lambda name: -name[1]):
+        end, height = x + TAG_WIDTH * len(text.get_text()), y
+        for first, last, above in taken:
+            if first < end and x < last and height > above - TAG_HEIGHT:
+                height = above - TAG_HEIGHT
+        taken.append((x, end, height))
+        text.set_position((2, height - y))
 
 
 def dots(axes: Axes, x: Floats, y: Floats, colour: str, size: float, *, square: bool = False) -> None:

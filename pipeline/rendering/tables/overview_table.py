@@ -58,7 +58,7 @@ def overview_table(result: ComparisonResult) -> Table | None:
 def _tested(row: Row) -> str:
     """Return up to which damping the boundary is judged, if theory is stable far beyond it. Otherwise empty."""
     judged = row["tested"] is not None and row["boundary"] != GRADES[None]
-    return f"up to B = {damping_text(row['tested'])}" if judged else ""
+    return f"B ≤ {damping_text(row['tested'])}" if judged else ""
 
 
 def _answered(name: str) -> Callable[[float, Row], str]:

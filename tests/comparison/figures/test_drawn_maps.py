@@ -9,8 +9,9 @@ from pipeline.comparison.experiment_result import nominal_theories
 from pipeline.comparison.figures.maps import departure_figures, departures, map_figures
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.comparison.thesis_tables_d import TableBuilder
+from pipeline.records.results import SourcedLoop
 from pipeline.rendering.figures.drawing import LOOKS, draw
-from pipeline.theory.predictions import Predictions
+from pipeline.theory.predictions import Predictions, Theory
 
 pytestmark = pytest.mark.slow
 
@@ -43,6 +44,22 @@ def test_a_map_has_no_limit_where_no_trial_was_unstable(of_falcon):
     drawn = {s.kind: s for s in map_figures(data, shown, *rest)[0].panels[1].series}
     assert np.isnan(drawn["edge"].x).all()
     assert sorted(drawn["bound"].x) == sorted(p.stable for p in censored if p.stable is not None)
+
+
+def test_a_map_shows_which_dampings_were_not_tested(of_falcon):
+    figure = map_figures(*of_falcon)[0]
+    assert "untested" not in {s.kind for panel in figure.panels for s in panel.series}, "tests reach as far as theory"
+    data, results, theories, predictions = of_falcon
+    device = theories["1"].loop
+    stable_longer = Theory(SourcedLoop(loop=device.replace({"delay_samples": 2.0}), source="test"))
+    with predictions:
+        predictions.start(TableBuilder(data, {"1": stable_longer}).requests())
+        predictions.finish()
+    figure = map_figures(data, results, {"1": stable_longer}, predictions)[0]
+    theory, logs = ({s.kind: s for s in panel.series} for panel in figure.panels)
+    assert "untested" not in theory
+    assert logs["untested"].y.min() == max(point.damping for point in results[0].boundary)
+    assert "Grey area: dampings that were not tested." in figure.caption
 
 
 def test_front_view_holds_the_trials_and_the_optimum_of_the_document(of_falcon):

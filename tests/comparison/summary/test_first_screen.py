@@ -215,9 +215,8 @@ def test_a_verdict_states_where_tests_end_far_below_the_largest_damping_of_theor
     far = told(data, result, scores=scored(result, damping=damping.model_copy(update={"theory": 2 * tested})))
     assert (far.predicts.tested_up_to, far.predicts.stable_up_to) == (tested, 2 * tested)
     words = {name: lines_of(result.model_copy(update={"answer": of}))[2] for name, of in (("near", near), ("far", far))}
-    assert "not tested beyond" not in words["near"]
-    assert f"Boundary: yes, up to B = {tested:g} of {2 * tested:g} " in words["far"]
-    assert "; not tested beyond. Limits" in words["far"]
+    assert "Boundary: yes. Limits" in words["near"]
+    assert f"Boundary: yes, tested up to B = {tested:g} of {2 * tested:g} Ns/m. Limits" in words["far"]
 
 
 def test_words_say_of_how_many_dampings_a_median_is(data, result):

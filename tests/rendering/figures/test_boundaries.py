@@ -168,6 +168,8 @@ def test_answer_shows_the_limits_of_other_experiments_within_its_own_range() -> 
     near = [experiment(name) for name in ("zwei", "drei")]
     svg = draw(answer_figure(experiment("1"), theory(), "translation", 0, nothing, near)).panels[0]
     assert re.findall(r">(zwei|drei)</text>", svg) == ["zwei", "drei"]
+    first, second = (float(y) for y in re.findall(r' y="([\d.]+)">(?:zwei|drei)</text>', svg))
+    assert abs(first - second) >= 10.0, "names of curves that end at one place are below each other"
     own = next(measured(experiment("1").boundary, "", None, intervals=True))
     assert np.nanmax(lines[0].x) == pytest.approx(9 * np.nanmax(own.x))
     assert figure.panels[0].limits == alone.panels[0].limits

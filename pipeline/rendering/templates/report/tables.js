@@ -86,5 +86,5 @@ document.querySelectorAll("main table").forEach((table, number) => {
 
 // the reason for a missing value stands below its table; here it appears on pointing, too
 for (const mark of document.querySelectorAll("abbr[data-why]")) {
-  mark.title = mark.closest(".scroll").querySelectorAll(".whys li > span")[mark.dataset.why - 1].textContent;
+  mark.title = mark.closest(".tabled").querySelectorAll(".whys li > span")[mark.dataset.why - 1].textContent;
 }
