@@ -46,6 +46,7 @@ from pipeline.records.results import (
     MeasuredExperiment,
     SourcedLoop,
     UseRegion,
+    delay_with,
 )
 from pipeline.rendering.labels import Units
 from pipeline.store.storage import stage_folder
@@ -136,8 +137,14 @@ def experiment_numbers(data: StoredData, stages: ExperimentStages, theory: Theor
         use_reason=why or None,
         masses=mass_deviations(measured, data.device, theory.loop if data.device is not None and theory else None),
         truth=truth,
-        truth_held=truth_held(estimates.values(), boundary) if truth is not None else None,
+        truth_held=truth_held(_judged(estimates, loop).values(), boundary) if truth is not None else None,
     )
+
+
+def _judged(estimates: Mapping[str, Estimate], loop: LoopFindings) -> dict[str, Estimate]:
+    """Return estimates with the delay of the first screen, which is compared with its true value."""
+    factor = estimates["delay_samples"]
+    return {**estimates, "delay_samples": delay_with(factor, loop).model_copy(update={"truth": factor.truth})}
 
 
 def _measured(data: StoredData, stages: ExperimentStages) -> MeasuredExperiment:

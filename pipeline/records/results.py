@@ -764,15 +764,19 @@ class ExperimentNumbers(MeasuredExperiment, LoopFindings):
     def delay(self) -> Estimate:
         """Delay from the logs: the fitted delay unless walls contradict the loop, otherwise the integer factor
         (6.3)."""
-        factor = self.estimates["delay_samples"]
-        if self.loop is None:
-            return factor
-        return delay_of_logs(
-            factor,
-            adequate=self.loop.adequate,
-            judged=self.replay is not None and self.replay.verdicts_same is not None,
-            doubted=any(doubt.code == "not_adequate" for doubt in factor.doubts),
-        )
+        return delay_with(self.estimates["delay_samples"], self)
+
+
+def delay_with(factor: Estimate, findings: LoopFindings) -> Estimate:
+    """Return the delay from the logs (6.3), given the integer factor and the findings on the loop."""
+    if findings.loop is None:
+        return factor
+    return delay_of_logs(
+        factor,
+        adequate=findings.loop.adequate,
+        judged=findings.replay is not None and findings.replay.verdicts_same is not None,
+        doubted=any(doubt.code == "not_adequate" for doubt in factor.doubts),
+    )
 
 
 def delay_of_logs(factor: Estimate, *, adequate: bool, judged: bool, doubted: bool) -> Estimate:

@@ -36,6 +36,8 @@ from pipeline.rendering.tables.formats import (
 )
 from pipeline.rendering.tables.trial_links import TrialPage
 
+STABLE_ABOVE = "Here, a single stable trial lies above the limit: near it, the verdicts of trials scatter."
+
 UNDECIDED_BELOW = "A trial below it is undecided: look at it, or repeat it."
 
 
@@ -50,6 +52,9 @@ def boundary_table(rows: Sequence[Row], units: Any, trials: TrialPage) -> Table 
 
     def ended(row: Row) -> list[str | None]:
         return [RANGE_ENDED if row["censored"] else None]
+
+    def scatters(row: Row) -> list[str | None]:
+        return [STABLE_ABOVE if row["stable"] and row["stiffness"] and row["stiffness"] < row["stable"] else None]
 
     def limit(_: Any, row: Row) -> str:
         if row["stiffness"] is not None:
@@ -79,7 +84,14 @@ def boundary_table(rows: Sequence[Row], units: Any, trials: TrialPage) -> Table 
             notes=ended,
             link=lambda row: place(row, "unstable"),
         ),
-        Column("limit", "limit, 95 %", show=limit, aside=interval, why="the growth rates do not determine it"),
+        Column(
+            "limit",
+            "limit, 95 %",
+            show=limit,
+            aside=interval,
+            notes=scatters,
+            why="the growth rates do not determine it",
+        ),
         Column("stiffness_large_motion", "harder push", show=show_stiffness, why="no limit", optional=True),
         Column("truth", show=show_stiffness, why="no truth", optional=True),
     )

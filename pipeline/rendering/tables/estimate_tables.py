@@ -265,20 +265,22 @@ def truth_table(result: ComparisonResult) -> Table | None:
     known = [e for e in result.experiments if e.truth and e.truth_held]
     rows = []
     for e in known:
-        for name, one in e.estimates.items():
-            if one.truth is None:
+        for name, estimate in e.estimates.items():
+            if (truth := estimate.truth) is None:
                 continue
+            one = e.delay if name == "delay_samples" else estimate  # the interval of the first screen
             _, low, high = estimate_texts(one)
-            ends = one.low or 0.0, one.truth, one.high or 0.0
+            ends = one.low or 0.0, truth, one.high or 0.0
             outside = None not in (one.value, one.low, one.high) and not holds(*ends)
-            row = {"experiment": e.experiment, "quantity": name, "truth": one.truth, "outside": outside}
+            row = {"experiment": e.experiment, "quantity": name, "truth": truth, "outside": outside}
             row |= {"interval": f"{low} to {high}" if low and high else ""}
             rows.append(row | {"name": f"{quantity_name(name)} [{unit_text(one.unit)}]"})
     reasons = [f"No limits: {e.truth.limit_reason}." for e in known if e.truth and e.truth.limit_reason]
     held = [e.truth_held for e in known if e.truth_held]
     total = sum(one.estimates + one.limits for one in held)
     kept = sum(one.estimates_held + one.limits_held for one in held)
-    caption = f"True values of the simulation: {kept} of {total} 95 % intervals contain them, limits included"
+    included = ", limits included" if any(one.limits for one in held) else ""
+    caption = f"True values of the simulation: {kept} of {total} 95 % intervals contain them{included}"
     columns = (
         Column("name", "quantity"),
         Column("truth", show=digits(4), notes=lambda row: [MISSED if row["outside"] else None]),

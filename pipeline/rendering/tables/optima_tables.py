@@ -37,7 +37,7 @@ from pipeline.rendering.tables.formats import (
 PARTS = (
     "Parts of the deviation, whose factors (1 + x/100) give the whole. Range: theory's optimum is outside the tested "
     "range. Grid: it is between tested walls. Model (95 %): measured against theory on tested walls, without scatter. "
-    "Selection: the best of many trials is lucky."
+    "Selection: the cost of the best trial against that of the trials around it, negative if the best trial is lucky."
 )
 
 
@@ -106,7 +106,7 @@ def optima_tables(
         )
         criteria = "; ".join(dict.fromkeys(criterion_name(row["criterion"]) for row in own))
         label = table_label(name)
-        what = "Optimal costs over total delay" if swept else f"Optimal points: {criteria}"
+        what = "Walls behind the costs over total delay" if swept else f"Optimal points: {criteria}"
         caption = f"{label[:1].upper()}{label[1:]}. {what}"
         order = list(dict.fromkeys(row["criterion"] for row in own))
         own.sort(key=lambda row: order.index(row["criterion"]))

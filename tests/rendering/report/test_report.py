@@ -123,7 +123,7 @@ def test_sections_without_data_are_left_out() -> None:
     assert ">simulated" not in page
     assert "logs are simulated" not in page
     links = set(re.findall(r'href="#([^"]+)"', page))
-    assert links == {"main", "sec-definitions"}
+    assert links == {"main", "contents", "sec-definitions"}
 
 
 def test_every_link_leads_to_a_part_of_the_page(page: str) -> None:
@@ -163,7 +163,7 @@ def test_numbers_of_a_trial_refer_to_it_and_others_do_not(numbers: str) -> None:
 
 
 def test_each_missing_value_is_marked_with_a_reason_below_its_table(numbers: str) -> None:
-    parts = re.findall(r'<table class="cells[^"]*">.*?</table>(.*?)</div>', numbers, flags=re.DOTALL)
+    parts = re.findall(r'<table class="cells[^"]*">.*?</table>\s*</div>(.*?)</div>', numbers, flags=re.DOTALL)
     tables = re.findall(r'<table class="cells[^"]*">.*?</table>', numbers, flags=re.DOTALL)
     marked = 0
     for table, below in zip(tables, parts, strict=True):

@@ -42,7 +42,7 @@ from pipeline.rendering.frames import differing_lines, frames, in_order
 from pipeline.rendering.labels import MISSING, cost_text, percent_text
 from pipeline.rendering.report import report
 from pipeline.rendering.table import Table
-from pipeline.rendering.tables.boundary_tables import measured_damping_notes, region_sentence
+from pipeline.rendering.tables.boundary_tables import STABLE_ABOVE, measured_damping_notes, region_sentence
 from pipeline.rendering.tables.estimate_tables import MISSED, mass_note
 from pipeline.rendering.tables.formats import interval_column
 from pipeline.rendering.tables.optima_tables import closeness_note, damping_notes
@@ -162,10 +162,25 @@ def test_an_interval_that_misses_the_truth_is_marked() -> None:
     assert table.notes == [MISSED]
     cells = {name.rpartition("/")[2]: {c.name: c for c in row} for _, rows in table.blocks for name, row in rows}
     assert (cells["mass"]["truth"].marks, cells["delay_samples"]["truth"].marks) == ((), ("a",))
-    assert "2 of 4 95 % intervals contain them" in table.caption
+    assert "2 of 4 95 % intervals contain them, limits included" in table.caption
     (without,) = tables_of(known("the delay jitters"))["truth"]
     assert "No limits: the delay jitters." in without.notes
+    assert "limits included" not in without.caption
     assert tables_of(report_data(full=False).result)["truth"] == []
+
+
+def test_the_true_delay_is_compared_with_the_interval_of_the_first_screen() -> None:
+    """The integer factor has an interval of 3 to 7 samples, which any delay is in."""
+    fitted = estimate(3.9, "samples").model_copy(update={"low": 3.8, "high": 4.0, "by_method": {}})
+    about = {"low": 3.0, "high": 7.0, "truth": 5.0, "by_method": {"model": fitted}}
+    first = known().experiments[0]
+    estimates = first.estimates | {"delay_samples": first.estimates["delay_samples"].model_copy(update=about)}
+    loop = LoopResult(source="estimated", adequate=True, reason="")
+    changed = first.model_copy(update={"estimates": estimates, "loop": loop})
+    (table,) = tables_of(known().model_copy(update={"experiments": (changed,)}))["truth"]
+    delay = next(row for row in cells(table) if row["name"].startswith("delay"))
+    assert delay["interval"] == "3.80 to 4.00"
+    assert table.notes == [MISSED]
 
 
 def test_the_share_of_intervals_stands_at_the_truth_and_not_in_the_head() -> None:
@@ -188,6 +203,19 @@ def test_every_caption_drawing_and_the_print_head_say_that_logs_are_simulated() 
     assert "(simulated)" not in plain
     assert "@top-right" not in plain
     assert ">simulated</text>" not in plain
+
+
+def test_a_limit_below_a_stable_trial_is_explained(result: ComparisonResult) -> None:
+    """As a Falcon: stable at 6160 N/m, limit 6000 N/m (6000 to 6801)."""
+    first = result.experiments[0]
+    at = {"unstable": 6400.0, "estimate": 6000.0, "low": 6000.0, "high": 6801.0, "censored": False}
+    notes = {}
+    for stable in (6160.0, 5900.0):
+        point = first.boundary[1].model_copy(update=at | {"stable": stable})
+        changed = first.model_copy(update={"boundary": (point,)})
+        (table,) = tables_of(result.model_copy(update={"experiments": (changed,)}))["boundary"]
+        notes[stable] = STABLE_ABOVE in table.notes
+    assert notes == {6160.0: True, 5900.0: False}
 
 
 def test_dampings_that_are_printed_alike_have_rows_of_their_own(result: ComparisonResult) -> None:
