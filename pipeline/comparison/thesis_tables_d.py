@@ -229,7 +229,7 @@ def _leading(table: TableLayout) -> tuple[str, ...]:
 
 
 def _with_own(row: ComparisonRow, theory: float | None, parts: Deviation | None) -> ComparisonRow:
-    """Return a measured row with its deviations from the theoretical cost of its own stated device."""
+    """Return a measured row with its deviations from the theoretical cost of the stated device of its experiment."""
     percent = 100 * (row.cost / theory - 1) if row.cost is not None and theory else None
     model = parts.model if parts is not None and parts.steady else None
     return row.model_copy(update={"own_deviation_percent": percent, "own_model_percent": model})
