@@ -178,7 +178,7 @@ def answer_figure(
     """
     K, B, verdict = trials
     series = list(measured(result.boundary, "measured limit", number, intervals=True))
-    rubs = result.loop_boundary and any(cause.code == "coulomb_friction" for cause in result.causes)
+    rubs = result.loop_boundary and _rubs(result)
     series += (
         [by_theory(theory, "theory without friction" if rubs else "limit by theory")] if theory is not None else []
     )
@@ -367,12 +367,17 @@ def _with_loop(result: ExperimentNumbers, theory: Theory | None, number: int, sh
             series.append(
                 Series("straight line fitted to the limits", "straight", line.stiffness + line.slope * ends, ends)
             )
-        series += [Series("for a harder push", "friction", harder, B)] if np.isfinite(harder).any() else []
+        series += [Series("for a harder push", "friction", harder, B)] if _rubs(result) else []
     if theory is not None:
         proven = result.passive is not None
         drawn = [s for s in conditions(theory, shown.has_overlay("robust")) if proven or s.kind != "passive"]
         series += [by_theory(theory, "theory"), *drawn]
     return [s for s in series if s.kind not in OVERLAYS or shown.has_overlay(OVERLAYS[s.kind])]
+
+
+def _rubs(result: ExperimentNumbers) -> bool:
+    """Return whether the logs show friction, with which a limit depends on the size of the push."""
+    return any(cause.code == "coulomb_friction" for cause in result.causes)
 
 
 def conditions(theory: Theory, robust: bool = True) -> Iterator[Series]:

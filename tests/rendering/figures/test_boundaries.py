@@ -136,11 +136,16 @@ def test_experiments_without_an_operator_are_together_and_configurations_with_on
 
 def test_identified_loop_is_drawn_with_its_interval_and_the_limit_for_a_harder_push() -> None:
     limits = tuple(Limit(damping=b, stiffness=900, low=800, high=1000, stiffness_large_motion=700) for b in (0, 4))
-    result = experiment("1").model_copy(update={"loop_boundary": limits})
+    rubs = Cause(code="coulomb_friction", sentence="", evidence="")
+    result = experiment("1").model_copy(update={"loop_boundary": limits, "causes": (rubs,)})
     (figure,) = boundary_figures([result], {}, "translation", Shown(), sweep=False)
     found = {s.kind: s for s in figure.panels[0].series}
     assert (found["identified"].x.tolist(), found["friction"].x.tolist()) == ([900, 900], [700, 700])
     assert (found["envelope"].low.tolist(), found["envelope"].high.tolist()) == ([800, 800], [1000, 1000])
+    # without friction, the limit does not depend on the push
+    smooth = result.model_copy(update={"causes": ()})
+    (figure,) = boundary_figures([smooth], {}, "translation", Shown(), sweep=False)
+    assert "friction" not in {s.kind for s in figure.panels[0].series}
 
 
 def test_answer_shows_every_trial_behind_a_wall() -> None:
