@@ -98,12 +98,13 @@ def main() -> None:
     left.set_ylabel("prediction error [mm]")
     left.legend(frameon=False, fontsize="small")
     delays = np.linspace(-0.08, 0.08, 25) + fit.device.numbers["delay"]
-    others = [place for place, name in enumerate(fit.device.names) if name != "delay"]
-    scattered = np.array([others.index(place) for place in fit.places.tolist() if place in others])
+    others = tuple(name for name in fit.device.names if name != "delay")
+    varying = [fit.device.names[place] for place in fit.places.tolist()]
+    scattered = np.array([others.index(name) for name in varying if name in others], dtype=np.int64)
     profile = []
     for delay in delays.tolist():
         device = replace(fit.device, numbers=fit.device.numbers | {"delay": delay}, effects=None)
-        profile.append(solve(moments_of(segments, device).some(others), scattered).likelihood)
+        profile.append(solve(moments_of(segments, device, others), scattered).likelihood)
     right.plot(delays, np.array(profile) - max(profile), "o-", markersize=3)
     interval = Errors.of(fit).parameter("delay_samples", result.units)
     right.axvspan(interval.low, interval.high, alpha=0.2, label="95 %, no lag")
