@@ -25,7 +25,7 @@ from pipeline.store.objects import opened
 
 ENDING = ".zip"
 TIME = (1980, 1, 1, 0, 0, 0)
-"""Time stamp of every entry, so that equal inputs give identical bytes. It is the earliest that a zip allows."""
+"""Time stamp of every entry: the earliest that a zip allows. It is fixed, so that equal inputs give identical bytes."""
 
 READ_ME = """{report} is a report by `pipeline compare` (haptic-pipeline). This file also contains its input data.
 The following command recomputes every number and compares it with the report:
@@ -35,7 +35,7 @@ The following command recomputes every number and compares it with the report:
 
 
 class Bundle(Record):
-    """A bundle that was written: its file, and the number of trials, files and bytes."""
+    """File of a bundle, and the number of trials, files and bytes in it."""
 
     bundle: str
     trials: int
@@ -106,7 +106,7 @@ def verify_bundle(path: Path) -> Verification:
         pages = sorted(folder.glob("*.html"))
         if len(pages) != 1:
             raise UsageError(
-                f"{path}: expected one report (.html) at the top of a bundle, found {len(pages)}. Write it with "
+                f"{path}: expected one report (.html) at the top of a bundle, found {len(pages)}. Write a bundle with "
                 "`pipeline bundle REPORT`."
             )
         with _devices_of(folder / "devices"):

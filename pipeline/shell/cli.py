@@ -70,7 +70,7 @@ def application(word: str | None = None) -> typer.Typer:
 
 
 def __getattr__(name: str) -> typer.Typer:
-    """Create ``app``, the complete command line, at the first access."""
+    """Create ``app``, the complete command line, when it is first accessed."""
     if name == "app":
         return application()
     raise AttributeError(name)

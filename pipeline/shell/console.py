@@ -31,7 +31,7 @@ _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 """Control characters except tab and line feed."""
 
 _JSON = ContextVar("json", default=False)
-"""Whether the running command prints only JSON."""
+"""True if the running command prints only JSON."""
 
 
 def option(name: str, help_text: str, *more: str, **how: Any) -> Any:
@@ -68,7 +68,7 @@ def command(work: Callable[..., int | None]) -> Callable[..., None]:
 
 
 def show(document: object, lines: Iterable[str]) -> None:
-    """Print the document of a result with ``--json``, and otherwise its lines."""
+    """Print the document of a result if ``--json`` is given, otherwise its lines."""
     if _JSON.get():
         _write(json.dumps(document, indent=1, allow_nan=False) + "\n")
     else:
@@ -88,8 +88,9 @@ def show_line(document: object, lines: Iterable[str]) -> None:
 def run_app(app: typer.Typer, arguments: Sequence[str] | None) -> None:
     """Run the command line, and exit with its status. An expected error is printed as a message on stderr.
 
-    The same applies to an error of the operating system, such as a full disk. Other exceptions are defects and are
-    raised with their traceback. A termination signal ends the process as usual, after incomplete files are removed.
+    An error of the operating system, such as a full disk, is also printed as a message. Other exceptions are defects
+    and are raised with their traceback. A termination signal ends the process as usual, after incomplete files are
+    removed.
     """
     try:
         with ending_on_signals():
@@ -137,7 +138,7 @@ def _drop_output() -> None:
 
 
 def _write(text: str) -> None:
-    if sys.stdout is not None:  # it is None if it is closed, for example by `>&-`
+    if sys.stdout is not None:  # stdout is None if it was closed, for example by `>&-`
         with naming(Path("standard output")):
             sys.stdout.write(text)
 
@@ -163,12 +164,14 @@ def step(text: str) -> None:
 
 
 def _harmless(text: str) -> str:
-    """Return a text without control characters. Names and cells of logs may contain commands for the terminal."""
+    """Return a text without control characters. Names and cells of logs may contain control sequences for the
+    terminal."""
     return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 def grouped(messages: Iterable[tuple[str, str]]) -> Iterator[str]:
-    """Yield messages about places. Equal texts are printed once, with the first place and the number of places."""
+    """Yield messages about places. Equal texts are merged into one line, with the first place and the number of
+    places."""
     yield from warned((place, text, None) for place, text in messages)
 
 
@@ -231,7 +234,7 @@ def progress(label: str, unit: str = "") -> Iterator[Advance]:
             bar.update(task, completed=done, total=total, shown=f"{shown}{_time_left(share, time.monotonic() - begun)}")
 
         def hear(name: str, share: float) -> None:
-            # A search may take longer than usual. The displayed share never decreases.
+            # The displayed share never decreases, even if a search takes longer than usual.
             share = max(share, bar.tasks[0].fields["share"])
             shown = f"{share:.0%}{_time_left(share, time.monotonic() - begun)}"
             title = f"{label}: {name}" if name else label

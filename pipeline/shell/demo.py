@@ -17,11 +17,11 @@ from pipeline.shell.report_index import INDEX_FILE, write_index
 from pipeline.simulation.sweep import run_sweep, write_sweep
 
 SEED = 1
-"""Seed of the simulated logs. Any other seed is equally good."""
+"""Seed of the simulated logs. The value is arbitrary."""
 
 
 class Part(NamedTuple):
-    """A device of the demo, its experiments (if empty, all), and the factor by which their grids are coarsened."""
+    """A device of the demo, its experiments (all if empty), and the factor by which their grids are coarsened."""
 
     device: str
     experiments: tuple[str, ...] = ()
@@ -31,8 +31,8 @@ class Part(NamedTuple):
 PARTS = (Part("falcon-real", ("1",), coarsen=4), Part("falcon", ("1", "2", "6"), coarsen=2), Part("lwr", coarsen=2))
 """Devices of the demo, with half the dampings and half the stiffness steps.
 
-They have a quarter of the trials, and their maps look like the full ones. The first device deviates from theory in the
-way that the real device may (docs/falcon.md).
+They have a quarter of the trials, and their maps look like the full ones. The first device deviates from theory as the
+real device might (docs/falcon.md).
 """
 
 
@@ -72,8 +72,8 @@ def run_demo(
     say(f"ingest: {logs} logs")
     if refused := ingest([raw], processed).quarantined:
         raise PipelineError(
-            f"{refused[0].path}: {refused[0].reason} ({len(refused)} log(s) in {raw} were refused; expected only "
-            "simulated logs there). Remove the file or the folder, and run the demo again."
+            f"{refused[0].path}: {refused[0].reason} ({len(refused)} log(s) in {raw} were refused, because this folder "
+            "may contain only simulated logs). Remove the file or the folder, and run the demo again."
         )
     reports, summaries = [], []
     for part in parts:

@@ -1,6 +1,7 @@
-"""Read the logs of a report again into a temporary folder, and find what has changed since the report.
+"""Read the logs of a report again into a temporary folder, and find changes since the report was written.
 
-No computed results are reused, because the temporary folder contains trials and samples, but neither stages nor theory.
+No computed results are reused: the temporary folder contains only trials and samples, not intermediate results or
+theory.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ from pipeline.store.storage import Correction, Exclusion, read_exclusions, read_
 
 
 class LogProblem(Record):
-    """A log, or its stored data, that differs from the log used for the report. ``path`` may also be an experiment."""
+    """A log, or its stored data, that differs from the log used for the report. ``path`` may also name an
+    experiment."""
 
     path: str
     problem: str
@@ -60,7 +62,7 @@ class FreshStore:
     notes : list of str
         Parts that could not be checked, with the reasons.
     read, kept : int
-        Number of trials read from their logs, and number of trials of which only stored samples remain.
+        Number of trials read from their logs, and number of trials taken from stored samples.
     """
 
     folder: Path
@@ -91,16 +93,16 @@ def read_again(
     processed : Path
         Store with the paths of the logs.
     reported : mapping of str to ReportedLogs
-        Statements of the page by experiment.
+        Statements of the page, keyed by experiment.
     lists : mapping of str to LogList
-        Lists of logs in the document, by experiment, if available.
+        Lists of logs in the document, keyed by experiment, if available.
     folder : Path
         Folder in which the trials are stored.
     profiles : sequence of Path or None
         Profile files of the lab, in addition to the shipped profiles. With None, no log is read, and stored samples are
         copied.
     excluded : sequence of Exclusion
-        Trials that were excluded manually, according to the page.
+        Trials that were excluded manually according to the page.
 
     Raises
     ------
@@ -128,7 +130,9 @@ def read_again(
         here = [os.path.isfile(path) and profile in files for path, _, profile in rows]
         for profile in sorted({profile for _, _, profile in rows} if profiles is not None else ()):
             if profile not in files:
-                store.notes.append(f"profile {profile!r} is not shipped. Give it with --profile to read its logs again")
+                store.notes.append(
+                    f"profile {profile!r} is not shipped. To read its logs again, name its file with --profile"
+                )
                 continue
             paths = {path: sha for (path, sha, own), there in zip(rows, here, strict=True) if there and own == profile}
             _read(store, experiment, paths, files[profile])
@@ -166,7 +170,8 @@ def _among(table: pa.Table, column: str, values: Collection[str]) -> pa.ChunkedA
 def _of_the_report(
     store: FreshStore, trials: pa.Table, excluded: Sequence[Exclusion], listed: LogList | None
 ) -> tuple[pa.Table, pa.Table]:
-    """Return the stored trials of the report's logs, and the manually excluded trials. Later trials are left out."""
+    """Return the stored trials of the report's logs, and the manually excluded trials. Trials stored later are left
+    out."""
     used, _ = split_trials(trials, {one.trial_id: one for one in excluded})
     left_out = trials.filter(pc.invert(_among(trials, "trial_id", used.column("trial_id").to_pylist())))
     if listed is None:
@@ -176,15 +181,18 @@ def _of_the_report(
     for path in sorted(path for path, sha in expected.items() if sha not in stored.values()):
         text = "its stored data have changed since the report was written"
         store.differs(path, text, expected=expected[path], found=stored.get(path))
-    # A log with the path of a log of the report is used, so that the effect of its change on the numbers is shown.
+    # A changed log with the path of a log of the report is used, so that the effect of the change on the numbers is
+    # shown.
     ours = pc.or_(_among(used, "source_sha256", set(expected.values())), _among(used, "source_path", set(expected)))
     if later := used.num_rows - (pc.sum(ours).as_py() or 0):
-        store.notes.append(f"experiment {listed.experiment}: {later} trials were stored later and are not used")
+        store.notes.append(
+            f"experiment {listed.experiment}: {later} trials were stored after the report and are not used"
+        )
     return used.filter(ours), left_out
 
 
 def _read(store: FreshStore, experiment: str, sources: Mapping[str, str], profile: Path | str) -> None:
-    """Ingest logs from their sources. Their hashes must be those of the report."""
+    """Ingest logs from their sources, and report each log whose hash differs from the hash in the report."""
     if not sources:
         return
     report = ingest([Path(path) for path in sources], store.folder, profile)
@@ -211,7 +219,8 @@ def _keep(store: FreshStore, device: str, experiment: str, processed: Path, tria
 
 
 def _compare_samples(store: FreshStore, device: str, experiment: str, stated: ReportedLogs) -> None:
-    """Compare the hash of all samples with the page, if the logs have the hashes of the report."""
+    """Compare the hash of all samples with the page. This requires that the hashes of the logs are those of the
+    report."""
     trials = split_trials(read_trials(store.folder, device, experiment), read_exclusions(store.folder))[0]
     if joint_sha256(trials.column("source_sha256").to_pylist()) != stated.sha256:
         if not store.problems:

@@ -34,7 +34,7 @@ def read_cases(path: Path, columns: tuple[str, ...] = CASE_COLUMNS) -> Cases:
             lines = [(reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells)]
     except OSError as error:
         raise ParameterError(
-            f"{path}: cannot be read ({error.strerror or error}). Give a CSV file of points."
+            f"{path}: cannot be read ({error.strerror or error}). Name a CSV file with points."
         ) from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise ParameterError(f"{path}: is not a CSV file in UTF-8 ({error}).") from error

@@ -27,7 +27,7 @@ INDEX_MARK = '<meta name="generator" content="pipeline index">'
 """Mark of an index page of this package. The page of another program is never replaced."""
 
 MOST_NAMES = 4
-"""Largest number of experiments listed by name. For more, only the first and last are given."""
+"""Largest number of experiments listed by name. If there are more, only the first and the last one are listed."""
 
 _HEAD = 8192
 """Number of characters at the start of a page that contain its title and marks."""
@@ -37,7 +37,8 @@ _REPORT_MARK = 'name="pipeline-cells"'
 
 
 def _row(document: JsonObject) -> JsonObject:
-    """Return the index row of a document. Documents of other versions may lack fields that are not needed here."""
+    """Return the index row of a document. Fields that are not needed here may be missing in documents of other
+    versions."""
     experiments = document["experiments"]
     names = [e["experiment"] for e in experiments]
     origin = document.get("provenance", {})
@@ -74,10 +75,8 @@ def _stiffness(experiments: Sequence[JsonObject], unit: str) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class IndexEntry:
-    """Page in the folder.
-
-    It is a report with its document, a report that cannot be read (``problem``), or another page.
-    """
+    """Page in the folder: a report with its document, a report that cannot be read (``problem``), or a different
+    page."""
 
     page: str
     title: str
@@ -96,9 +95,10 @@ class IndexEntry:
 
 
 def read_reports(folder: Path) -> tuple[tuple[IndexEntry, ...], tuple[IndexEntry, ...]]:
-    """Return the reports of a folder, sorted by title with damaged reports last, and its other pages.
+    """Return the reports of a folder, sorted by title with damaged reports last, and the other pages of the folder.
 
-    A page (``*.html``) is a report if its folder contains its JSON document of a comparison. Nothing is written.
+    A page (``*.html``) is a report if its head has the mark of a report. The JSON document of the comparison must be in
+    the same folder. Nothing is written.
     """
     pages = (p for p in folder.glob("*.html") if p.name != INDEX_FILE and not p.name.startswith(".") and p.is_file())
     found = [_entry(page) for page in sorted(pages)]
@@ -131,12 +131,12 @@ def write_index(folder: Path, only_renew: bool = False) -> Path | None:
     folder : Path
         Folder of the reports. It is created if it does not exist.
     only_renew : bool
-        Whether to do nothing if there is no index yet, because the folder may belong to other users.
+        If True, no index is created where none exists, because the folder may belong to other users.
 
     Returns
     -------
     Path or None
-        The page, or None if it is unchanged or a foreign page has its name.
+        The page, or None if it is unchanged, or if a page of another program has the same name.
 
     Raises
     ------
@@ -148,7 +148,8 @@ def write_index(folder: Path, only_renew: bool = False) -> Path | None:
     if (present is None and only_renew) or (present is not None and INDEX_MARK not in present):
         return None
     before = present
-    # Another process may write a report and an index without this one. Therefore, check again after each write.
+    # During this call, another process may write a report, and an index without this page. Therefore, check again after
+    # each write.
     while (page := render_index(*read_reports(folder))) != present:
         write_text(path, page)
         present = page
@@ -156,7 +157,7 @@ def write_index(folder: Path, only_renew: bool = False) -> Path | None:
 
 
 def _text(path: Path) -> str:
-    """Return the text of a page. It is empty if the page cannot be read, such as the page of another user."""
+    """Return the text of a page. The text is empty if the page cannot be read, for example a page of another user."""
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -172,7 +173,7 @@ def _entry(page: Path) -> IndexEntry:
     name = storable(document.name)
     if not text:
         return IndexEntry(page.name, title, "the page is empty or cannot be read")
-    if _REPORT_MARK not in text[:_HEAD]:  # the page has another kind of document, such as the accuracy page
+    if _REPORT_MARK not in text[:_HEAD]:  # a different kind of page, such as the accuracy page
         return IndexEntry(page.name, title or storable(page.name))
     if not text.rstrip().endswith("</html>"):
         return IndexEntry(page.name, title, "the page is incomplete; write the report again")

@@ -1,6 +1,7 @@
-"""Decide for `pipeline start` what a folder contains, which profile keys follow from the data, and what remains open.
+"""Determine for `pipeline start` the contents of a folder, the profile keys that follow from the data, and the open
+questions.
 
-The decisions depend only on the folder. `pipeline.shell.commands.cli_start` asks the user, calls functions and prints.
+The results depend only on the folder. `pipeline.shell.commands.cli_start` asks the user, calls functions and prints.
 """
 
 from __future__ import annotations
@@ -41,9 +42,9 @@ MOST_CHECKED = 400
 
 _OFF = (
     "the number after {0!r} in the names is {2:.4g} times the {1} that the commands follow, and no unit explains this. "
-    "Are the units of force, position and time in the files right? Otherwise, give one {1} for all walls."
+    "Are the units of force, position and time in the files right? If they are, state one {1} for all walls."
 )
-"""Question about names that contradict the units of the columns."""
+"""Question about numbers in names that contradict the units of the columns."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ class Proposal:
 
 
 def look_at(path: Path) -> Folder:
-    """Return the contents of a folder. For a log, return those of its folder.
+    """Return the contents of a folder. For a log, return the contents of its folder.
 
     Raises
     ------
@@ -178,10 +179,10 @@ def _file_names(table: SheetTable, column: str) -> list[str]:
 
 
 def propose(folder: Folder) -> Proposal:
-    """Return the keys that the logs of a folder prove, and the open questions.
+    """Return the profile keys that the logs of a folder prove, and the open questions.
 
     Conditions come from the sheet, otherwise from the file names. A column of the sheet, or the numbers after a word in
-    the names, must agree with the gains of the commands up to the factor of a unit.
+    the names, must agree with the gains of the commands, apart from the factor between two units.
     """
     samples = folder.samples
     found = answers(samples, folder.logs)
@@ -227,17 +228,19 @@ def propose(folder: Folder) -> Proposal:
 
 
 def _question_of_all(key: str, unit: str, laws: Mapping[str, WallLaw]) -> Answer:
-    """Return the question about a condition of all walls. The proposed value is the one that most commands show."""
+    """Return the question about a condition of all walls. The proposed value is the most frequent one in the
+    commands."""
     values = Counter(value for law in laws.values() if (value := law.followed(key)))
     words = f"{key} of all walls [{unit}]? "
     if key != "step" or not values:
-        return Answer(0, question=f"{words}Neither the files nor their commands show it")
+        return Answer(0, question=f"{words}Neither the files nor their commands show this value")
     value, count = values.most_common(1)[0]
     return Answer(value, question=f"{words}The commands of {count} of {len(laws)} logs show {value:g}")
 
 
 def with_units(proposal: Proposal, given: Mapping[str, Any]) -> Folder:
-    """Return the folder of a proposal with the answered units of columns, as if the files stated these units."""
+    """Return the folder of a proposal, with the units of columns from the answers, as if the files stated these
+    units."""
     units = {}
     for place, value in given.items():
         name = proposal.answers.get(f"{place.rpartition('.')[0]}.name")
@@ -270,7 +273,7 @@ def _motion(laws: Mapping[str, WallLaw]) -> Kind:
 
 
 def _asked_unit(found: Mapping[str, Answer], key: str) -> str:
-    """Return the SI unit of a condition for the kind of motion that the unit of the position shows."""
+    """Return the SI unit of a condition for the kind of motion that the unit of the position implies."""
     position = found.get("columns.position.unit")
     unit = find_unit(str(position.value)) if position is not None else None
     rotates = unit is not None and unit.quantity in ("angle", "angular velocity")
@@ -278,7 +281,7 @@ def _asked_unit(found: Mapping[str, Answer], key: str) -> str:
 
 
 def _from_names(samples: Sequence[Sample], laws: Mapping[str, WallLaw], known: set[str]) -> Answers:
-    """Return the pattern of file names, and the units of the numbers in them, if the commands prove these."""
+    """Return the pattern of file names, and the units of the numbers in the names, if the commands prove both."""
     names, words = [sample.name for sample in samples if sample.name in laws], numbers_in_names(samples)
     if not names or not words:
         return {}
@@ -298,7 +301,7 @@ def _from_names(samples: Sequence[Sample], laws: Mapping[str, WallLaw], known: s
             found.pop(f"constants.{key}", None)
             used.add(word)
             pattern = with_group(pattern, words, word, key)
-            found[f"units.{key}"] = Answer(unit, f"{word!r} in the names agrees with {len(names)} commands, in {unit}")
+            found[f"units.{key}"] = Answer(unit, f"{word!r} in the names, in {len(names)}, agrees with {unit} commands")
             break
     if pattern is not None:
         found["name_pattern"] = Answer(pattern, "numbers after words in the file names")
@@ -314,7 +317,8 @@ def _number_behind(word: str, name: str) -> float | None:
 
 
 def _from_sheet(table: SheetTable, laws: Mapping[str, WallLaw], samples: Sequence[Sample]) -> Answers:
-    """Return the columns of a sheet that are conditions, with units from the headings or proved by the commands."""
+    """Return the columns of a sheet that contain conditions, with the units that the headings state or the commands
+    prove."""
     named = _naming(table, samples)
     if named is None:
         return {}
@@ -396,15 +400,15 @@ def made_profile(proposal: Proposal) -> Profile:
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A log whose command follows another wall than stated, or which has an implausible number.
+    """A log whose command follows a wall that differs from the stated one, or that has an implausible number.
 
     Parameters
     ----------
     path : Path
     reason : str
     followed : dict of str to float
-        The gain [SI] that its command follows, if only one differs. Several gains that differ together indicate a wrong
-        unit or sign of a column.
+        The gain [SI] that the command follows, if only one gain differs from the stated wall. Several gains that differ
+        together indicate a wrong unit or sign of a column.
     """
 
     path: Path

@@ -34,23 +34,24 @@ from pipeline.store.objects import is_url, opened
 from pipeline.store.storage import Exclusion
 
 ROUNDING = 1e-9
-"""Threshold for the relative difference. Below it, two values are equal.
+"""Largest relative difference of two values that count as equal.
 
 Other processors and builds of numpy round the last digits of a sum differently.
 """
 
 ELSEWHERE = 1e-5
-"""Relative difference (absolute for percentages) that another processor explains in an unmodified report.
+"""Largest relative difference (absolute for percentages) that a different processor may cause in an unmodified report.
 
-The location of a flat optimum is accurate only to the square root of the machine precision. A difference of close
-numbers is even less accurate.
+The location of a flat optimum is accurate only to the square root of the machine precision. A difference of nearly
+equal numbers is even less accurate.
 """
 
 NOTHING = 1e-9
-"""Threshold below which numbers in such a report count as zero. For example, a growth of 2e-13 1/s is rounding."""
+"""Threshold below which numbers in such a report count as zero. For example, a growth of 2e-13 1/s is a rounding
+error."""
 
 MOST_CHARACTERS = 200
-"""Number of quoted characters of a part."""
+"""Largest number of quoted characters of a part."""
 
 MISSING = "(missing)"
 
@@ -58,7 +59,7 @@ _NUMBER = re.compile(r"[\N{MINUS SIGN}-]?\d+(?:\.\d+)?(?:[eE][+\N{MINUS SIGN}-]?
 
 
 class Difference(Record):
-    """A part of the report that differs. ``expected`` was recomputed, ``found`` is in the report."""
+    """A part of the report that differs. ``expected`` was recomputed, and ``found`` is in the report."""
 
     name: str
     kind: Literal["cell", "sentence", "value", "page"]
@@ -106,7 +107,7 @@ class Request(BaseModel):
 
 
 LOGS_READ = 0.1
-"""Usual share of the verification time that reading logs takes."""
+"""Usual share of reading the logs in the time of a verification."""
 
 
 def verify(
@@ -125,10 +126,10 @@ def verify(
     report : Path
         HTML page that `compare` wrote.
     processed : Path or str, optional
-        Folder or URL of the stored tables. By default, it is the one that the report names, which is searched for in
-        the current folder and in the folder of the report.
+        Folder or URL of the stored tables. By default, the folder named in the report is searched for in the current
+        folder and in the folder of the report.
     profiles : sequence of Path or None
-        Profile files of the lab that read the logs. None uses only the stored samples.
+        Profile files of the lab that read the logs. With None, only the stored samples are used.
     bundle : Path, optional
         Bundle that contains the report. The result then names the bundle.
 
@@ -145,7 +146,7 @@ def verify(
     device = request.scene.device
     place = stored_place(report, request.processed, processed)
     if request.code != report_code():
-        notes.append("the report was written by another version of the code, which may explain differences")
+        notes.append("the report was written by a different version of the code, which may explain differences")
     with (
         tempfile.TemporaryDirectory(prefix="pipeline-verify-") as temporary,
         opened(place, device) as folder,
@@ -156,8 +157,8 @@ def verify(
             fresh = read_again(device, folder, request.logs, lists, store, profiles, request.excluded)
         if not fresh.read + fresh.kept:
             raise StoreError(
-                f"{report}: none of its logs are in {place}. Give the folder of stored tables with --processed, "
-                "or verify a bundle."
+                f"{report}: none of its logs are in {place}. Name the folder of stored tables with --processed, or "
+                "verify a bundle."
             )
         again = Path(temporary) / "report.html"
         with part_of_work("", LOGS_READ, 1.0):
@@ -227,7 +228,8 @@ def _equal(name: str, a: Any, b: Any) -> bool:
 
 
 def same_value(name: str, a: Any, b: Any) -> bool:
-    """Return whether two values of a JSON document differ only by rounding. ``name`` ends with the key of the value."""
+    """Return True if two values of a JSON document differ at most by rounding errors. ``name`` ends with the key of the
+    value."""
     if isinstance(a, str) and isinstance(b, str):
         return same_text(name, a, b)
     if not (isinstance(a, float) and isinstance(b, float)):
@@ -237,7 +239,7 @@ def same_value(name: str, a: Any, b: Any) -> bool:
 
 
 def same_text(name: str, a: str, b: str) -> bool:
-    """Return whether two texts differ by at most one in the last digit of numbers with a decimal point.
+    """Return True if two texts differ at most by one in the last digit of numbers with a decimal point.
 
     Examples
     --------
@@ -261,7 +263,7 @@ def _same_number(a: str, b: str) -> bool:
 
 
 def leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield place and value of every leaf of a document. A leaf is neither a list nor an object."""
+    """Yield the place and the value of every leaf of a document. A leaf is neither a list nor an object."""
     if not isinstance(value, dict | list):
         yield place, value
         return
@@ -270,7 +272,7 @@ def leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _compare_again(report: Path, request: Request, store: Path, page: Path) -> ComparisonResult:
-    """Write a page of the same size from logs that were read again, and return its document."""
+    """Write a page with the same options from logs that were read again, and return its document."""
     scene, truth, notes = request.scene, request.truth, request.notes
     what = scene.experiments, scene.criteria, scene.shown
     selection = ComparisonSelection(scene.device, store, *what, truth=truth, notes=notes)
@@ -303,7 +305,7 @@ def lines_of(verification: Verification) -> list[str]:
 
 
 def read_report(report: Path) -> tuple[str, Parts, Request]:
-    """Return the text of a page, its parts, and the request in its head.
+    """Return the text of a page, its parts, and the request of the comparison in its head.
 
     Raises
     ------
@@ -316,7 +318,7 @@ def read_report(report: Path) -> tuple[str, Parts, Request]:
         return page, parts, Request.model_validate(parts.request)
     except (OSError, UnicodeDecodeError) as error:
         why = getattr(error, "strerror", None) or error
-        raise UsageError(f"{report}: cannot be read ({why}). Give a report by `pipeline compare`.") from error
+        raise UsageError(f"{report}: cannot be read ({why}). Name a report by `pipeline compare`.") from error
     except ValidationError as error:
         raise UsageError(
             f"{report}: contains no readable request of a comparison; expected a report by `pipeline compare` of this "
@@ -325,12 +327,12 @@ def read_report(report: Path) -> tuple[str, Parts, Request]:
 
 
 def device_problems(request: Request) -> tuple[LogProblem, ...]:
-    """Return a problem if the local device file differs from that of a page.
+    """Return a problem if the local device file differs from the device file that a page used.
 
     Raises
     ------
     DeviceError
-        If the page uses a device file that is not available here. All theoretical numbers would differ.
+        If the page uses a device file that is not available here. Without it, all theoretical numbers would differ.
     """
     name = request.scene.device
     if request.device_file is None:
@@ -348,7 +350,7 @@ def device_problems(request: Request) -> tuple[LogProblem, ...]:
 
 
 def stored_place(report: Path, named: str, given: Path | str | None) -> Path | str:
-    """Return the folder or URL of the stored tables of a report. It is the given one, or the one that the report names.
+    """Return the folder or URL of the stored tables of a report: the given one, or the one that the report names.
 
     Raises
     ------
@@ -365,17 +367,17 @@ def stored_place(report: Path, named: str, given: Path | str | None) -> Path | s
             return each
     raise UsageError(
         f"{', '.join(str(p) for p in dict.fromkeys(places))}: no stored trials; expected the folder from which the "
-        "report was computed. Give it with --processed, or verify a bundle."
+        "report was computed. Name this folder with --processed, or verify a bundle."
     )
 
 
 def read_document(report: Path) -> tuple[ComparisonResult | None, list[str]]:
-    """Return the JSON document of a page, or None with a note if there is none of this version."""
+    """Return the JSON document of a page, or None and a note if there is no document of this version."""
     path = report.with_suffix(".json")
     try:
         return ComparisonResult.model_validate_json(path.read_bytes()), []
     except FileNotFoundError:
-        return None, [f"{path}: missing; only the page was checked"]
+        return None, [f"{path}: the file is missing, so only the page was checked"]
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])

@@ -35,13 +35,15 @@ LOOK_SHARE = 200
 """Smallest ratio of a waiting time to the duration of the scan before it. Scans take at most 0.5 % of a processor."""
 
 SHORTEST_WAIT_S = 0.05
-"""Shortest waiting time [s]. It is used if a file will soon be unchanged for long enough."""
+"""Shortest waiting time [s]. It applies if a file will soon have been unchanged for long enough."""
 
 RETRY_S, LONGEST_RETRY_S = 60.0, 3600.0
-"""Time after which a failed pass is repeated [s], for example after a full disk. It doubles up to the second number."""
+"""Time after which a failed pass is repeated [s], for example after a full disk. This time doubles after each further
+failure, up to the second number."""
 
 PLAN_SETTLE_S = 0.3
-"""Time for which a log must be unchanged before the planner reads it [s]. The next wall appears within a second."""
+"""Time for which a log must be unchanged before the planner reads it [s]. It is short, so that the next wall appears
+within a second."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class Watched:
     profile : str or None
         Log profile by name, or a profile file.
     scenes : tuple of Path
-        Scene files. Each of them has a report. By default, there is one report for each device.
+        Scene files, each with a report. By default, there is one report for each device.
     settle_s : float
         Time for which a log must be unchanged before it is read [s].
 
@@ -83,7 +85,7 @@ class Watched:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Single files whose changes affect reports."""
+        """Individual files whose changes affect reports."""
         devices = user_device_folder()
         profile = [Path(self.profile)] if self.profile and os.path.isfile(self.profile) else []
         return *self.scenes, *profile, *(sorted(devices.glob("*.toml")) if devices else [])
@@ -91,7 +93,7 @@ class Watched:
 
 @dataclass
 class Arrivals:
-    """Files that are new or have changed since they were last processed, and whether they are at rest.
+    """States of files, to find those that are at rest and are new or changed since they were last processed.
 
     A file is at rest if this process has seen it unchanged for some time. Clocks of file servers and copied time stamps
     have no influence.
@@ -99,7 +101,7 @@ class Arrivals:
     Parameters
     ----------
     settle_s : float
-        Time for which a state must last [s].
+        Time for which a file must be unchanged to be at rest [s].
     """
 
     settle_s: float
@@ -108,7 +110,7 @@ class Arrivals:
     _taken: dict[str, FileState] = field(default_factory=dict)
 
     def look(self, folders: Sequence[Path], files: Sequence[Path] = (), exclude: Sequence[Path] = ()) -> float:
-        """Record the current states of all files, and in ``troubles`` the folders that could not be read and the
+        """Record the current states of all files. Folders that could not be read are listed in ``troubles``, with the
         reasons.
 
         Hidden files and folders are skipped, and links to folders are not followed, as in `ingest`. Return the time [s]
@@ -139,16 +141,16 @@ class Arrivals:
         before = self._seen
         known = {path: before[path] for path, state in states.items() if path in before and before[path][0] == state}
         self._seen = {path: known.get(path, (state, now)) for path, state in states.items()}
-        # Forget missing files, so that the number of existing files limits the memory.
+        # Forget missing files, so that the memory is limited by the number of existing files.
         self._taken = {path: state for path, state in self._taken.items() if path in self._seen}
 
     def restless(self, now: float) -> dict[str, float]:
-        """Return the files that are not at rest, with the time [s] at which each of them will be."""
+        """Return the files that are not at rest, with the time [s] at which each will be at rest."""
         times = ((path, since + self.settle_s) for path, (_, since) in self._seen.items())
         return {path: rests for path, rests in times if rests > now}
 
     def ready(self, now: float) -> bool:
-        """Return whether a file is at rest and is new or changed since it was last processed."""
+        """Return True if a file is at rest and is new or changed since it was last processed."""
         return any(self._taken.get(path) != state for path, state in self._resting(now))
 
     def take(self, now: float) -> None:
@@ -200,11 +202,11 @@ def status_of(events: Sequence[Event]) -> int:
 
 
 def run_pass(watched: Watched, growing: Sequence[str] = ()) -> Iterator[Event]:
-    """Store new logs, update the affected reports and the index page, and yield each event when it happens.
+    """Store new logs, update the affected reports and the index page, and yield each event as it happens.
 
     Expected errors are events. Defects are also events, with their traceback on stderr, so that one device does not
-    block the reports of others. ``growing`` contains absolute paths of files that are not at rest, whatever their time
-    stamps.
+    block the reports of others. ``growing`` contains absolute paths of files that are not at rest, regardless of their
+    time stamps.
     """
     yield from _ingest(watched, growing)
     yield from _reports(watched)
@@ -290,7 +292,8 @@ def plan_beside(
     options: PlanOptions,
     profile: str | None,
 ) -> Iterator[Plan]:
-    """Yield the plan at first and after each new log, until it is done. The arguments are those of `planner.plan`.
+    """Yield the plan at the start and after each new log, until the plan is complete. The arguments are those of
+    `planner.plan`.
 
     The parts of a device are identified in another process, so that plans do not wait for them.
     """

@@ -36,12 +36,12 @@ if TYPE_CHECKING:
     from pipeline.surface.physical_loop import Loop
 
 _SHOWN = 6
-"""Number of printed names of logs. The JSON document has all names."""
+"""Largest number of log names that are printed. The JSON document has all names."""
 
 UNEXPLAINED = "The command alone does not explain the motion: another force acts, or the model lacks a part."
 
 DRIVEN = ("positive", "negative", "small", "large")
-"""Commands for which the mass is given if the gain of the drive differs between them."""
+"""Classes of commands. If the gain of the drive differs between classes, the mass is given for each class."""
 
 LIMIT_QUANTITIES = {
     "stiffness": ("stiffness", "rotational stiffness"),
@@ -70,7 +70,9 @@ def demo() -> None:
 def simulate(
     device: Annotated[str, argument("Device: name or file (.toml).")],
     experiment: Experiments = None,
-    out: Annotated[Path, option("--out", "Folder; logs are written to DEVICE/EXPERIMENT in it.")] = Path("raw"),
+    out: Annotated[Path, option("--out", "Folder. Logs are written to its subfolders DEVICE/EXPERIMENT.")] = Path(
+        "raw"
+    ),
     seed: Annotated[int, option("--seed", "Seed of noise and jitter.", min=0)] = 0,
     coarsen: Annotated[int, option("--coarsen", "Use every n-th damping, and n times the step in K.")] = 1,
 ) -> None:
@@ -107,9 +109,10 @@ def identify(
     """Identify a device from logs, and compute the walls it can render.
 
     Neither a wall nor rest is needed. Steps, staircases, sweeps and wall trials are suitable. A native log without a
-    wall may omit stiffness, damping, step and names. By default, walls have the period and delay of the logs. With
-    --out, a device file (.toml) is written. With --report, a page (.html) shows the measured motion against free runs,
-    residuals, parameters, parts that were tried, and walls, or why no device can be identified.
+    wall may omit stiffness, damping, step and names. By default, the period and the delay of the logs are used for the
+    walls. With --out, a device file (.toml) is written. With --report, a page (.html) compares the measured motion with
+    free runs. It also shows residuals, parameters, tested parts and walls, or the reason why no device can be
+    identified.
 
     Example: pipeline identify logs --out motor.toml
 
@@ -125,7 +128,7 @@ def identify(
     if report is not None:
         check_report(report, "--report")
         if out is not None and out.resolve() == report.resolve():
-            raise UsageError(f"--report {report}: is also the device file of --out. Give two names.")
+            raise UsageError(f"--report {report}: the device file of --out has the same name. Give a different name.")
     wall_period = None if period is None else quantity("--period", period, "time")
     with console.progress("identify", "logs") as advance:
         reading = Reading(paths, profile, ignore or (), advance)
@@ -134,7 +137,8 @@ def identify(
     copies = document["copies"]
     if copies:
         what = (
-            f"{counted(len(copies), 'log')} with the same samples as another log count{'s' * (len(copies) == 1)} once"
+            f"{counted(len(copies), 'log')} with the same samples as another log count{'s' * (len(copies) == 1)} only "
+            "once"
         )
         console.note(f"{what}: {', '.join(copies[:_SHOWN])}")
     findings = (each for each in document["findings"] if each["log"] not in copies)
@@ -154,7 +158,7 @@ def identify(
 
 
 def _with_interval(number: JsonObject) -> str:
-    """Return a number with interval and unit. It has enough digits to distinguish both ends."""
+    """Return a number with its interval and unit. The digits are enough to distinguish the ends of the interval."""
     from pipeline.rendering.labels import interval_texts
 
     value, low, high = interval_texts(number["value"], number["low"], number["high"])
@@ -175,24 +179,27 @@ def identified_lines(document: JsonObject) -> Iterator[str]:
         names = [row["name"] for row in document["parameters"] if row["reason"] == reason]
         yield f"not identifiable: {_words(names)}. {reason[0].upper()}{reason[1:]}"
     parts = {found: ", ".join(p["name"] for p in document["parts"] if p["found"] is found) for found in (True, False)}
-    yield f"parts found in addition to mass, damping and delay: {parts[True] or 'none'}"
+    yield f"parts identified in addition to mass, damping and delay: {parts[True] or 'none'}"
     if parts[False]:
-        yield f"neither found nor excluded by these logs: {parts[False]}"
+        yield f"parts that these logs neither show nor exclude: {parts[False]}"
     yield from idle_sentences(document)
     if (force := document["measured_force"]) is not None and force["reason"] is not None:
         yield f"force: {force['reason']}"
     elif force is not None:
-        yield f"force: device and drive are identified apart; the drive explains {force['fit_percent']:.1f} % of it"
+        yield (
+            f"force: device and drive are identified separately; the drive model explains {force['fit_percent']:.1f} % "
+            "of the force"
+        )
     if (drive := document["drive"]) is not None:
         ways = (f"{_with_interval(drive[way])} for {way} commands" for way in DRIVEN if way in drive)
         inertia = "Mass" if document["motion"] == "translation" else "Inertia"
         kinds = [kind for number, kind in (("asymmetry", "direction"), ("curvature", "size")) if number in drive]
         where = "in each direction" if kinds == ["direction"] else "at several sizes of the command"
         yield f"The gain of the drive differs by {_words(kinds)}. {inertia} per unit of command: {', '.join(ways)}."
-        yield f"  The intervals above include both. Record the force, or calibrate the drive {where}."
+        yield f"  The intervals above include all of these values. Record the force, or calibrate the drive {where}."
     if (gravity := document["gravity"]) is not None:
         torque, angle = (_with_interval(gravity[name]) for name in ("torque", "angle"))
-        yield f"Gravity acts with up to {torque}. The device would hang at rest at {angle}."
+        yield f"Gravity acts with up to {torque}. The device would hang at rest at an angle of {angle}."
     if document["assumed_none"]:
         yield f"assumed zero, because the command never changes: {_words(document['assumed_none'])}"
     for each in document["not_told_apart"]:
@@ -210,20 +217,20 @@ def identified_lines(document: JsonObject) -> Iterator[str]:
             yield f"  ({DRIFT})" if behind_walls else f"{UNEXPLAINED} No limit of stable walls is reported."
     if limits is not None:
         top, B = limits["stiffness_max"], limits["damping_at_stiffness_max"]
-        yield f"walls at T = {limits['sampling_period_s']:g} s and a delay of {limits['delay_samples']:.4g} samples:"
+        yield f"walls at T = {limits['sampling_period_s']:g} s with a delay of {limits['delay_samples']:.4g} samples:"
         k, b = unit_of("stiffness", document["motion"]), unit_of("damping", document["motion"])
         ends = f"{top['low']:.5g} to {top['high']:.5g}"
         yield f"  stable up to K = {top['value']:.5g} {k} ({ends}) at B = {B:.5g} {b}"
-        unfiltered = "" if document["velocity_filter"] else ", a velocity filter lowers it"
+        unfiltered = "" if document["velocity_filter"] else ", a velocity filter lowers the limit"
         plain = "" if document["loop"]["velocity"] else ", with the difference quotient as velocity"
-        yield f"  (linear{plain}: friction raises it{unfiltered})"
+        yield f"  (linear theory{plain}: friction raises the limit{unfiltered})"
     if document["velocity_filter"]:
         yield document["velocity_filter"]
     if "jitter" in document["left_out"]:
         jitter = document["loop"]["jitter_samples"]
         yield (
-            f"The delay jitters: standard deviation {jitter['value']:.3g} samples "
-            f"({jitter['low']:.3g} to {jitter['high']:.3g})."
+            f"The delay jitters with a standard deviation of {jitter['value']:.3g} samples ({jitter['low']:.3g} to "
+            f"{jitter['high']:.3g})."
         )
     if document["left_out"]:
         yield f"parts not included in linear theory: {', '.join(document['left_out'])}"
@@ -243,14 +250,16 @@ def design(
     overshoot: Annotated[
         str | None, option("--overshoot", "Largest overshoot, such as 0.05 or 5%; less than 0.001 means none.")
     ] = None,
-    margin: Annotated[float, option("--margin", "Factor on K up to which the wall stays stable.")] = 1.0,
+    margin: Annotated[float, option("--margin", "Gain margin: factor on K up to which the wall stays stable.")] = 1.0,
     hand: Annotated[
         str | None, option("--hand", "Arm of Table 3.2, which replaces the operator of the device file.")
     ] = None,
     keep: Annotated[list[str] | None, listed("--keep", "Quantities that cannot change.")] = None,
-    picture: Annotated[Path | None, option("--picture", "Picture over T and delay: .svg, .pdf, .png.")] = None,
+    picture: Annotated[
+        Path | None, option("--picture", "Picture of the largest K over T and delay: .svg, .pdf, .png.")
+    ] = None,
 ) -> None:
-    """Find the smallest changes of a rig that reach the required wall.
+    """Find the smallest changes of a rig that make the required wall possible.
 
     Example: pipeline design --device falcon --stiffness 5000 --overshoot 0
 
@@ -298,7 +307,7 @@ def design(
 
 
 def _held(device: Device, conditions: Any, hand: str | None) -> Loop:
-    """Return the loop of a device, with an arm attached if an arm is named."""
+    """Return the loop of a device, with the named arm attached, if any."""
     from dataclasses import replace
 
     from pipeline.device.parameters import is_rotation
@@ -318,9 +327,10 @@ def _held(device: Device, conditions: Any, hand: str | None) -> Loop:
 
 
 def _quantum(coulomb: float, quantum: float, stiffness: float | None) -> JsonObject | None:
-    """Return the largest stiffness without a limit cycle due to the sensor resolution, and the resolution that K needs.
+    """Return the largest stiffness without a limit cycle due to the sensor resolution, and the resolution required for
+    K.
 
-    ``coulomb`` is the friction per unit of command.
+    ``coulomb`` is the Coulomb friction per unit of command.
     """
     from pipeline.theory.boundary import quantum_limit
 
@@ -345,15 +355,15 @@ def _design_lines(document: JsonObject, loop: Loop) -> Iterator[str]:
     yield from (f"  {sentence}" for sentence in document["guidelines"]["sentences"])
     best = document["reachable"]
     yield (
-        f"  With this delay, no wall settles (2 %) in less than about {best['cost']:.3g} samples; one sample less "
-        f"saves {best['per_sample']:.2g}. All delays and T must stay below 20 % of the required settling time."
+        f"  With this delay, no wall settles (2 %) in less than about {best['cost']:.3g} samples; one sample less of "
+        f"delay saves {best['per_sample']:.2g}. All delays and T must stay below 20 % of the required settling time."
     )
     if (low := document["delay_samples_low"]) < (high := document["delay_samples_high"]):
         yield f"Delay {document['delay_samples']:.4g} samples: mean of a delay that jitters from {low:g} to {high:g}."
     if document["left_out"]:
         yield f"Parts not included in linear theory: {', '.join(document['left_out'])}."
     if (operator := document["operator_replaced"]) is not None:
-        yield f"The arm replaces the operator of {operator['mass']:g} kg in the device file."
+        yield f"The arm replaces the operator in the device file ({operator['mass']:g} kg)."
     if document["quantum"] is not None:
         limit = document["quantum"]["stiffness"]
         yield f"The sensor resolution causes no limit cycle up to K = 2 f_c/(g quantum) = {limit:.5g} {k}."
@@ -367,7 +377,7 @@ def plan(
     count: Annotated[int, option("--next", "Number of walls to recommend.", min=1)] = 1,
     goal: Annotated[str, option("--goal", "boundary, optimum, or a criterion.")] = "boundary",
     dampings: Annotated[list[str] | None, listed("--dampings", "Dampings B: 0,20,40 or '0,20,40 Ns/m'.")] = None,
-    gentle: Annotated[bool, option("--gentle", "Prefer stable walls, and approach limits from below.")] = False,
+    gentle: Annotated[bool, option("--gentle", "Prefer stable walls: approach each limit from below.")] = False,
     limit: Annotated[
         list[str] | None, listed("--limit", "Bound of the recommended walls.", metavar="KEY=VALUE")
     ] = None,
@@ -380,7 +390,8 @@ def plan(
     """Recommend which wall (K, B) to try next, and when to stop.
 
     The goal `optimum` is the best wall by settle_2pct. A limit on force excludes walls that are stiffer than a wall
-    whose command exceeded it. A limit on travel excludes walls whose start is further from the centre.
+    whose command exceeded the limit. A limit on travel excludes walls whose start is further from the centre than the
+    limit.
 
     Example: pipeline plan --device falcon --experiment 1
 
@@ -394,7 +405,7 @@ def plan(
     for word in limit or ():
         key, _, value = word.partition("=")
         if key not in LIMIT_QUANTITIES:
-            raise UsageError(f"--limit {word}: expected NAME=NUMBER, with NAME one of {', '.join(LIMIT_QUANTITIES)}.")
+            raise UsageError(f"--limit {word}: expected KEY=VALUE, where KEY is one of {', '.join(LIMIT_QUANTITIES)}.")
         bounds[key] = _above("--limit", value, LIMIT_QUANTITIES[key], 1e-300)
     wish = plan_options(goal, count, walls, gentle, bounds)
     if not watch:

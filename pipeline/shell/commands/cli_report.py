@@ -43,7 +43,9 @@ def compare(
     processed: Store = "processed",
     executor: ExecutorName = "local",
     report: Annotated[Path | None, option("--report", "HTML file (default: reports/DEVICE.html).")] = None,
-    scene: Annotated[Path | None, option("--scene", "Scene file (.toml) with the content of the report.")] = None,
+    scene: Annotated[
+        Path | None, option("--scene", "Scene file (.toml) that defines the content of the report.")
+    ] = None,
     export: Annotated[Path | None, option("--export", "Folder for tables and figures in all formats.")] = None,
     against: Annotated[str | None, option("--against", "EXPERIMENT, DEVICE:EXPERIMENT or a report (.json).")] = None,
     save_scene: Annotated[Path | None, option("--save-scene", "Only write a scene file of the stored data.")] = None,
@@ -81,8 +83,8 @@ def compare(
     without = {"--export": export} | ({} if earlier else alone)
     if against is not None and (other := next((name for name, given in without.items() if given), None)):
         raise UsageError(
-            f"--against and {other} cannot be combined, because the page of two experiments has no such choice. Omit "
-            "one of them."
+            f"--against and {other} cannot be combined, because a page that compares two experiments does not have "
+            "this option. Omit one of them."
         )
     chosen = None if scene is None else read_scene(scene)
     of_file = device_of(device) if device is not None and device.endswith(".toml") else None
@@ -104,7 +106,7 @@ def compare(
     if earlier is not None:
         from pipeline.comparison.against import against_document, read_document
 
-        # Read the document before the comparison, which may replace it.
+        # Read the document first, because the comparison may replace it.
         document = read_document(earlier, name)
     with console.progress("compare"), opened(processed, name) as folder:
         from pipeline.comparison.plan import ComparisonSelection, ReportOptions, plan_comparison
@@ -113,7 +115,7 @@ def compare(
         plan = plan_comparison(selection, ReportOptions(target, full, scene, export and export / "figures"))
         result = plan.unchanged
         if result is None and not dry_run:
-            from pipeline.comparison.compare import run, write_report  # this import takes half a second
+            from pipeline.comparison.compare import run, write_report  # slow import (half a second)
 
             finished = run(plan, compute)
             write_report(finished)
@@ -131,7 +133,8 @@ def compare(
 
 
 def _only_device(processed: str) -> str:
-    """Return the device of a store that contains logs of one device. An object store is not downloaded for this."""
+    """Return the device of a store that contains logs of only one device. An object store is not downloaded for this
+    purpose."""
     from pipeline.store.objects import is_url
     from pipeline.store.storage import list_devices
 
@@ -210,14 +213,14 @@ def _show_against(page: AgainstPage, report: Path) -> None:
 
 
 def _save_scene(device: str, processed: str, path: Path) -> None:
-    """Write a scene file with all stored experiments of a device. The user may shorten it."""
+    """Write a scene file with all stored experiments of a device, from which the user may remove entries."""
     from pipeline.base.disk import write_text
     from pipeline.comparison.scene.scene_file import draft_scene
     from pipeline.store.objects import opened
 
     check_output(path, "--save-scene")
     if path.exists():
-        raise UsageError(f"{path}: already exists. Give another file, or remove it.")
+        raise UsageError(f"{path}: already exists. Name another file, or remove this one.")
     with opened(processed, device) as folder:
         write_text(path, draft_scene(device, folder))
     console.show({"scene": str(path)}, [f"scene: {path}"])
@@ -271,7 +274,8 @@ NICENESS = 10
 """Increment of the process niceness, because the same machine may be recording logs at 1 kHz."""
 
 WORDS = {
-    "started": "watching {folders} every {interval_s:g} s, settle {settle_s:g} s; {processed} -> {reports}",
+    "started": "watching {folders} every {interval_s:g} s; a log is read after {settle_s:g} s without change; "
+    "{processed} -> {reports}",
     "ingest": "logs: {ingested} new, {found} in total, {quarantined} in quarantine, {waiting} waiting",
     "refused": "refused: {path}, row {row}: {reason}",
     "changed": "changed: {path}: {outcome}",
@@ -293,13 +297,13 @@ def watch(
         list[Path] | None, option("--scene", "Scene file (default: all devices). Repeatable.", exists=True)
     ] = None,
     settle: Annotated[str, option("--settle", "Time for which a log must stay unchanged.")] = f"{SETTLE_S:g} s",
-    once: Annotated[bool, option("--once", "Make one pass, and skip logs that may still change.")] = False,
+    once: Annotated[bool, option("--once", "Make only one pass, and skip logs that may still change.")] = False,
 ) -> int:
     """Keep reports and the index up to date while logs arrive.
 
     Only reports whose logs changed are written again. A refused log goes into quarantine, and the watch continues. No
-    data are lost if it is killed, because the next start does the remaining work. With --json, each line is a document.
-    With --once, the exit status is 1 if something failed, and 3 if logs are in quarantine.
+    data are lost if the command is killed, because the next start does the remaining work. With --json, each line is a
+    document. With --once, the exit status is 1 if something failed, and 3 if logs are in quarantine.
 
     Example: pipeline watch raw
 
@@ -333,6 +337,6 @@ def _show_event(event: Event) -> None:
 
 
 def line_of(event: Event) -> str:
-    """Return the text of an event. A list of files is replaced by their number."""
+    """Return the text of an event, with the number of waiting files instead of their names."""
     shown = {name: len(value) if name == "waiting" else value for name, value in event.items()}
     return WORDS[event["event"]].format(**shown)

@@ -27,7 +27,7 @@ def serve(
     port: Annotated[int, option("--port", "Port to listen at.", min=0, max=65535)] = 8000,
     read_only: Annotated[bool, option("--read-only", "Refuse every change.")] = False,
 ) -> None:
-    """Serve the lab in the browser and by REST, until Ctrl-C.
+    """Serve pages for a browser and a REST interface, until Ctrl-C.
 
     Environment variables set the limits: PIPELINE_MAX_FILE and PIPELINE_MAX_REQUEST (MiB, 64 and 1024), PIPELINE_RATE
     (requests a minute for each token or address; 0: no limit), PIPELINE_RENEW (0: do not update reports when logs
@@ -52,7 +52,7 @@ def token(
     action: Annotated[Literal["create", "list", "revoke"], argument("What to do.", metavar="create|list|revoke")],
     identifier: Annotated[str | None, argument("Id of the token to revoke, as listed.")] = None,
     role: Annotated[Literal["viewer", "contributor", "admin"] | None, option("--role", "What the user may do.")] = None,
-    name: Annotated[str, option("--name", "Name of the user, which is recorded with each change.")] = "",
+    name: Annotated[str, option("--name", "Name of the user, recorded with each change.")] = "",
     days: Annotated[float | None, option("--days", "Days until the token expires.", min=0)] = None,
     processed: Processed = Path("processed"),
 ) -> None:
@@ -78,7 +78,7 @@ def token(
         console.show({"token": made}, [made])
     elif identifier is not None:
         if not database.revoke_token(identifier):
-            raise UsageError(f"no token has the id {identifier!r}. `pipeline token list` lists all.")
+            raise UsageError(f"no token has the id {identifier!r}. `pipeline token list` lists all tokens.")
         console.show({"revoked": identifier}, [])
     else:
         tokens = database.tokens()
@@ -93,8 +93,8 @@ def push(
 ) -> int:
     """Upload logs to a server. Repeat the command to resume an upload.
 
-    A profile file is stored on the server. The token is read from the variable PIPELINE_TOKEN. Warnings are those of
-    `pipeline ingest`, on stderr. The exit status is 3 if a log was refused.
+    A profile file is stored on the server. The token is read from the variable PIPELINE_TOKEN. The same warnings as by
+    `pipeline ingest` are printed on stderr. The exit status is 3 if a log was refused.
 
     Example: pipeline push raw --to http://127.0.0.1:8000
     """

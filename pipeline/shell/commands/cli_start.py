@@ -1,6 +1,6 @@
-"""Command `start`, which leads from a folder of logs to a report.
+"""Command `start`, which makes a report from a folder of logs.
 
-It asks questions only if the data leave them open.
+It asks only the questions that the data do not answer.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ TABLES = (
 """Keys of a proposal in the order of display."""
 
 LONGEST_VALUE = 40
-"""Number of displayed characters of a value. A pattern may be longer."""
+"""Largest number of displayed characters of a value. A pattern may be longer."""
 
-Yes = Annotated[bool, option("--yes", "Ask no questions; use only proven settings.", "-y")]
+Yes = Annotated[bool, option("--yes", "Ask no questions, and use only settings that the data prove.", "-y")]
 
 
 def start(
@@ -50,12 +50,12 @@ def start(
     open_report: Annotated[bool, option("--open/--no-open", "Open the report in a browser.")] = True,
     store_only: Annotated[bool, option("--store-only", "Store the logs without comparing or identifying.")] = False,
 ) -> int:
-    """Lead from a folder of logs to a report, and print the commands.
+    """Make a report from a folder of logs, and print the commands that were used.
 
     The command shows the contents of the folder and a picture of a log, proposes the meaning of each column with the
     evidence, and asks open questions (Enter accepts the proposal). Then it stores the logs, compares walls with theory
-    or identifies the device, and opens the report. With --yes, or without a terminal, it asks nothing: it lists the
-    open questions and ends.
+    or identifies the device, and opens the report. With --yes, or without a terminal, it asks no questions. If any are
+    open, it lists them and ends.
 
     Example: pipeline start logs
 
@@ -77,8 +77,8 @@ def start(
 
 @dataclass(frozen=True)
 class Reading:
-    """How the logs of a folder are read: profile and its file (None for native logs), and the names of omitted
-    files."""
+    """Settings for reading the logs of a folder: the profile and its file (None for native logs), and the names of
+    omitted files."""
 
     profile: Profile | None = None
     file: Path | None = None
@@ -93,7 +93,7 @@ class Reading:
 
 
 def _reading_of(folder: Folder, asks: bool, *, opens: bool) -> Reading:
-    """Return how the logs of a folder are read, after asking the user, and write the profile."""
+    """Return the settings for reading the logs of a folder, after asking the user. Write the profile."""
     from pipeline.base.disk import write_text
     from pipeline.profiles.profile_text import profile_toml
     from pipeline.shell.start import made_profile, propose, with_units
@@ -110,10 +110,10 @@ def _reading_of(folder: Folder, asks: bool, *, opens: bool) -> Reading:
                 "name the columns with their units: `pipeline ingest --help`."
             )
         _draw(folder.logs[0], None, opens)
-        # Units of numbers in names and sheets follow from those of the columns. Wrong units are detected below.
+        # The units of numbers in names and sheets follow from the units of the columns. Wrong units are detected below.
         of_columns = _asked({place: each for place, each in proposal.open.items() if place.startswith("columns.")})
         again = propose(with_units(proposal, of_columns)).answered(of_columns)
-        # A wrong unit raises new questions. It is refused below, with its remedy, so that these are not asked.
+        # A wrong unit raises new questions. These are not asked, because the wrong unit is refused below with a remedy.
         settled = again if again.open.keys() <= proposal.open.keys() else proposal.answered(of_columns)
         proposal = settled.answered(_asked(settled.open))
     profile, ignored = _agreeing(made_profile(proposal), folder, asks)
@@ -126,7 +126,8 @@ def _reading_of(folder: Folder, asks: bool, *, opens: bool) -> Reading:
 
 
 def _draw(log: Path, profile: Profile | None, opens: bool) -> None:
-    """Draw a log, as recorded or in SI. A refused log is not drawn; it is reported later, when logs are stored."""
+    """Draw a log, as recorded or in SI. A refused log is not drawn, because it is reported later, when logs are
+    stored."""
     from pipeline.surface.log_picture import look
 
     picture = Path("look.html")
@@ -146,12 +147,12 @@ def _open(page: Path) -> None:
 
 
 def _agreeing(profile: Profile, folder: Folder, asks: bool) -> tuple[Profile, tuple[str, ...]]:
-    """Return a profile that agrees with the commands of the logs, and patterns of the omitted logs.
+    """Return a profile that agrees with the commands of the logs, and patterns that match the omitted logs.
 
     Raises
     ------
     UsageError
-        If so many logs contradict the profile that the profile is wrong.
+        If so many logs contradict the profile that the profile must be wrong.
     """
     from pipeline.readers.gain_check import common_remedy
     from pipeline.shell.profile.conditions import MOST_AT_FAULT
@@ -170,7 +171,8 @@ def _agreeing(profile: Profile, folder: Folder, asks: bool) -> tuple[Profile, tu
     if asks and known:
         logs = counted(len(known), "log")
         if typer.confirm(
-            f"{logs} with a wrong number: store the gains that the command follows? Otherwise omitted", err=True
+            f"{logs} with a wrong number. Store the gains that the command follows? If not, the logs are omitted",
+            err=True,
         ):
             profile = corrected(profile, known)
             off = [each for each in off if not each.followed]
@@ -187,7 +189,7 @@ def _free_name(name: str) -> Path:
 
 
 def _proposal_lines(proposal: Proposal, asks: bool) -> Iterator[str]:
-    """Yield the known keys with their evidence, then the number of open questions."""
+    """Yield lines with the known keys and their evidence, then with the number of open questions."""
     rows = []
     for place, answer in sorted(proposal.answers.items(), key=lambda item: TABLES.index(item[0].partition(".")[0])):
         if not answer.question:
@@ -199,10 +201,11 @@ def _proposal_lines(proposal: Proposal, asks: bool) -> Iterator[str]:
     if folder.other_layout:
         opened = len(folder.samples) + len(folder.other_layout)
         yield (
-            f"warning: {len(folder.other_layout)} of {counted(opened, 'inspected log')} have another layout, first "
-            f"{folder.other_layout[0]}. Only logs like {folder.samples[0].name} will be stored. Move the logs of each "
-            "layout (columns, delimiter, decimal sign, encoding) to a separate folder, and start each folder. Folders "
-            "of one name, such as a/bench and b/bench, are one device."
+            f"warning: {len(folder.other_layout)} of {counted(opened, 'inspected log')} have a different layout, the "
+            f"first of them {folder.other_layout[0]}. Only logs like {folder.samples[0].name} will be stored. Move the "
+            "logs of each layout (columns, delimiter, decimal sign, encoding) to a separate folder, and run `pipeline "
+            "start` on each folder. Folders with the same name, such as a/bench and b/bench, belong to the same "
+            "device."
         )
         yield ""
     if proposal.open and asks:
@@ -210,12 +213,12 @@ def _proposal_lines(proposal: Proposal, asks: bool) -> Iterator[str]:
 
 
 def _asked(questions: Mapping[str, Answer]) -> dict[str, Any]:
-    """Return the answers of the user to questions, by place."""
+    """Ask the user, and return the answers, keyed by the place in the profile."""
     return {place: _ask(place, question.question, question.value) for place, question in questions.items()}
 
 
 def _ask(place: str, question: str, proposed: Any) -> Any:
-    """Return the answer to a question. It is parsed if it is TOML, otherwise returned as text."""
+    """Ask the user, and return the answer. An answer in TOML is parsed, and any other answer is returned as text."""
     text = typer.prompt(f"{place}: {question}", default=str(proposed), err=True)
     if isinstance(proposed, str):
         return text.strip()
@@ -278,7 +281,9 @@ def _run(folder: Folder, reading: Reading, processed: str, *, opens: bool, compa
     if reading.ignored:
         lines.insert(0, f"Warning: {counted(len(reading.ignored), 'log')} omitted: {', '.join(reading.ignored)}")
     document |= {"commands": commands, "left_out": list(reading.ignored)}
-    console.show(document, [*lines, "", "To repeat it without questions:", *(f"  {line}" for line in commands)])
+    console.show(
+        document, [*lines, "", "To repeat these steps without questions:", *(f"  {line}" for line in commands)]
+    )
     return status
 
 

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 Result = TypeVar("Result")
 
 LISTED = 10
-"""Number of printed lines of one kind. The output of `--json` has all."""
+"""Largest number of printed lines of one kind. The output of `--json` has all lines."""
 
-Trials = Annotated[str, argument("DEVICE, DEVICE/EXPERIMENT, path of a log, or (start of) a trial id.")]
+Trials = Annotated[str, argument("DEVICE, DEVICE/EXPERIMENT, path of a log, or the first characters of a trial id.")]
 
 
 @reads_logs("paths")
@@ -71,7 +71,7 @@ def ingest(
 
 
 def counts_of(report: Mapping[str, Any]) -> list[str]:
-    """Return a table with the numbers of logs that were found, stored, skipped and refused."""
+    """Return a table of the numbers of logs that were found, stored, skipped and refused."""
     counts = {key: report[key] for key in ("found", "ingested", "skipped")}
     counts["quarantined"] = len(report["quarantined"])
     return console.table([counts], tuple(counts))
@@ -84,7 +84,7 @@ def refusals(refused: Iterable[Mapping[str, Any]]) -> Iterable[str]:
 
 
 def warnings_of(report: Mapping[str, Any]) -> Iterable[str]:
-    """Yield the warnings of an ingest, one line for each kind, and the logs whose stored trials changed."""
+    """Yield the warnings of an ingest, one line for each kind, then the logs whose stored trials changed."""
     warnings = ((each["path"], each["warning"], each.get("code")) for each in report["warnings"])
     yield from (f"warning: {line}" for line in console.warned(warnings))
     yield from (f"changed: {source['path']}: {source['outcome']}" for source in report["changed"])
@@ -100,7 +100,7 @@ def _ingest_lines(report: Mapping[str, Any], hint: bool) -> Iterable[str]:
         yield from _listed(f"{action} ({reason})", paths)
     yield from refusals(report["quarantined"])
     yield from warnings_of(report)
-    yield from _listed("no longer found (trials stay stored)", report["removed"])
+    yield from _listed("no longer found (their trials stay stored)", report["removed"])
     yield from _listed("waiting (modified recently)", report["waiting"])
     yield from _listed("ignored (not logs)", report["ignored"])
     yield from _listed("damaged", report["damaged"])
@@ -110,7 +110,7 @@ def _ingest_lines(report: Mapping[str, Any], hint: bool) -> Iterable[str]:
 
 
 def _listed(title: str, paths: list[str]) -> Iterable[str]:
-    """Yield the number of paths, then one line for each path, at most `LISTED`."""
+    """Yield the number of paths, then one line for each of the first `LISTED` paths."""
     if len(paths) == 1:
         yield f"{title}: {paths[0]}"
     elif paths:
@@ -126,7 +126,8 @@ def check(
 ) -> int:
     """Verify the checksums of stored files, and repair them on request.
 
-    The exit status is 1 if a file is damaged or missing. With --repair, it is 1 if data could not be recovered.
+    The exit status is 1 if a file is damaged or missing. With --repair, the exit status is 1 if data could not be
+    recovered.
 
     Example: pipeline check --processed processed
 
@@ -155,7 +156,7 @@ def _check_lines(found: CheckReport) -> Iterable[str]:
 def status(processed: Processed = Path("processed")) -> int:
     """Show stored experiments, exclusions, deletions and refused logs.
 
-    `pipeline compare --dry-run` and `pipeline ingest --dry-run` list outdated results and logs.
+    `pipeline compare --dry-run` lists outdated results, and `pipeline ingest --dry-run` lists new and changed logs.
 
     Example: pipeline status --processed processed
     """
@@ -198,7 +199,7 @@ def _status_lines(found: Mapping[str, Any]) -> Iterable[str]:
 
 def exclude(
     trial: Trials,
-    reason: Annotated[str | None, option("--reason", "Reason, which every report shows.")] = None,
+    reason: Annotated[str | None, option("--reason", "Reason, shown in every report.")] = None,
     undo: Annotated[bool, option("--undo", "Use the trial again.")] = False,
     processed: Store = "processed",
 ) -> None:
@@ -224,7 +225,7 @@ def exclude(
         return correct.exclude(folder, trial, reason, say=console.step)
 
     found = [one.model_dump(mode="json") for one in _changed(processed, work)]
-    done = "used again; it was excluded" if undo else "excluded"
+    done = "used again; it had been excluded" if undo else "excluded"
     lines = (f"{_trial(one)}: {done}: {one['exclusion_reason']}" for one in found)
     console.show({"excluded": not undo, "trials": found}, lines)
 
@@ -236,7 +237,7 @@ def move(
 ) -> None:
     """Rename or move a device, an experiment or a trial.
 
-    The change persists if logs are ingested again. Move the trials back to undo it.
+    The change is kept if logs are ingested again. Move the trials back to undo it.
 
     Example: pipeline move falcn falcon
 
@@ -249,7 +250,7 @@ def move(
 
 
 def delete(
-    trial: Annotated[str | None, argument("As for `exclude` (default: list the bin).")] = None,
+    trial: Annotated[str | None, argument("Trials, named as for `exclude` (default: list the bin).")] = None,
     undo: Annotated[bool, option("--undo", "Take the trials out of the bin.")] = False,
     empty: Annotated[bool, option("--empty", "Remove the trials in the bin from the store.")] = False,
     processed: Store = "processed",
@@ -310,8 +311,8 @@ def look(
 ) -> None:
     """Draw a log as recorded: columns, step, jumps, rests, missing rows.
 
-    If a given or shipped profile reads the log, its columns are drawn in SI over time. Otherwise, they are drawn as
-    recorded over the row number. Nothing is stored.
+    If a given or shipped profile reads the log, its columns are drawn in SI over time. Otherwise, the columns are drawn
+    as recorded over the row number. Nothing is stored.
 
     Example: pipeline look run_01.csv
     """
@@ -334,7 +335,7 @@ def profile(
     guessed. Set the key below such a line, and remove the line. `check` lists the open questions.
 
     A check stores nothing. The exit status is 3 if a sample would be refused. It is 1 if the profile is invalid (each
-    error is shown with its line), or if a command follows another K, B or step than the conditions state.
+    error is shown with its line), or if a command follows a different K, B or step than the conditions state.
 
     Example: pipeline profile draft run_*.csv --out lab.toml
 
@@ -368,7 +369,7 @@ def _draft(samples: Sequence[Path], out: Path | None) -> int:
     if out is not None:
         check_output(out, "--out")
         if out.exists():
-            raise UsageError(f"{out}: already exists. Give another file, or remove it.")
+            raise UsageError(f"{out}: already exists. Name another file, or remove this one.")
     text = draft_profile(*samples)
     questions = [{"line": q.line, "key": ".".join(map(str, q.place)), "question": q.text} for q in find_questions(text)]
     if out is not None:
@@ -385,7 +386,8 @@ def quarantine(
 ) -> None:
     """List refused logs, or show why they were refused.
 
-    docs/logs.md explains the codes. `pipeline ingest` tries refused logs again; --profile selects another profile.
+    docs/logs.md explains the codes. `pipeline ingest` tries refused logs again. Its option --profile selects a
+    different profile.
 
     Example: pipeline quarantine
 
@@ -403,7 +405,7 @@ def quarantine(
 
 
 def _list_lines(records: Sequence[Mapping[str, Any]]) -> Iterable[str]:
-    """Yield the logs in quarantine with id, path, row, code and reason, and with a profile line that may help."""
+    """Yield the logs in quarantine with the id, path, row, code and reason, and with a profile line that may help."""
     refusals = []
     for one in records:
         row = "" if one["row"] is None else f", row {one['row']}"
@@ -415,7 +417,7 @@ def _list_lines(records: Sequence[Mapping[str, Any]]) -> Iterable[str]:
 
 
 def _reason_lines(record: Mapping[str, Any]) -> Iterable[str]:
-    """Yield the reason why a log was refused, with profile lines ready to copy."""
+    """Yield the reason why a log was refused, and profile lines that can be copied."""
     for key in ("path", "profile", "size", "row", "code"):
         yield f"{key:<8} {'–' if record[key] is None else record[key]}"
     yield f"reason   {record['reason'].partition(HELPS)[0].rstrip()}"

@@ -1,4 +1,4 @@
-"""Commands for theory and its accuracy. Without a device, parameters are normalised."""
+"""Commands for theory and its accuracy. Without a device, the parameters are normalised."""
 
 from __future__ import annotations
 
@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 Row = TypeVar("Row")
 
 Delay = Annotated[float | None, option("--delay", "Delay d in samples, at most 256.", show_default=False)]
-OfDevice = Annotated[str | None, option("--device", "Device (name or file), in SI. It replaces the options above.")]
+OfDevice = Annotated[
+    str | None, option("--device", "Device (name or file), in SI. It replaces the normalised options above.")
+]
 Gamma = Annotated[float, option("--gamma", "Normalised stiffness of the device.")]
 Delta = Annotated[float, option("--delta", "Normalised viscous damping of the device.")]
 Rows = Annotated[Path | None, option("--out", "File for the rows: .csv or .parquet.", show_default=False)]
@@ -114,7 +116,7 @@ _SHOWN_POINTS = 9
 """Number of printed points of a boundary."""
 
 _ROUNDING = 1e-12
-"""Threshold, relative to the largest number of a column, below which a number is printed as 0."""
+"""Threshold below which a number is printed as 0, relative to the largest number of its column."""
 
 
 def _boundary_lines(answer: Boundary) -> Iterator[str]:
@@ -141,31 +143,35 @@ def _boundary_lines(answer: Boundary) -> Iterator[str]:
 
 
 def _beside(facts: JsonObject) -> Iterator[str]:
-    """Yield remarks on a device: a jittering delay, and parts that theory does not include."""
+    """Yield remarks on a device: a delay that jitters, and parts that the theory does not include."""
     if facts.get("delay_samples_low") != facts.get("delay_samples_high"):
         low, high = facts["delay_samples_low"], facts["delay_samples_high"]
-        yield f"delay {facts['delay_samples']:.4g} samples: mean of a delay that jitters from {low:g} to {high:g}"
+        yield (
+            f"the delay of {facts['delay_samples']:.4g} samples is the mean of a delay that jitters from {low:g} to "
+            f"{high:g}"
+        )
     if facts.get("left_out"):
         yield f"parts not included in linear theory: {', '.join(facts['left_out'])}"
 
 
 def optimum(
-    criterion: Annotated[str, option("--criterion", "Such as settle_2pct or energy_impulse_w1.")],
+    criterion: Annotated[str, option("--criterion", "Criterion, such as settle_2pct or energy_impulse_w1.")],
     delay: Delay = None,
     gamma: Gamma = 0.0,
     delta: Delta = 0.0,
     device: OfDevice = None,
     experiment: One = None,
-    signal: Annotated[Signal | None, option("--signal", "Response (default: that of the criterion).")] = None,
+    signal: Annotated[Signal | None, option("--signal", "Response (default: the response of the criterion).")] = None,
     stiffness: Annotated[
-        str | None, option("--stiffness", "Stiffness of the scene, '5 N/mm' (alpha without --device).")
+        str | None, option("--stiffness", "Stiffness of the wall, '5 N/mm' (alpha without --device).")
     ] = None,
     out: Rows = None,
     picture: Picture = None,
 ) -> None:
     """Compute the optimal stiffness and damping for a criterion.
 
-    With --stiffness, compute the best damping for this stiffness, and the rules for continuous time (5.17).
+    With --stiffness, compute the best damping for this stiffness, and the damping by the rules for continuous time
+    (5.17).
 
     Example: pipeline theory optimum --criterion settle_2pct --delay 1 --signal discrete --json
 
@@ -203,7 +209,8 @@ def optimum(
 
 
 def _reachable_line(answer: Optimum) -> str:
-    """Return the optimal cost that the delay allows, and the gain from one sample less of delay."""
+    """Return a sentence with the smallest cost that the delay allows, and the reduction for one sample less of
+    delay."""
     from pipeline.records.criteria import criterion_of
 
     best = answer.reachable
@@ -211,8 +218,8 @@ def _reachable_line(answer: Optimum) -> str:
         return ""
     unit = " samples" if criterion_of(best.criterion).family.unit == "samples" else ""
     return (
-        f"with this delay, no wall costs less than about {best.cost:.4g}{unit} without damping of the device (5.19, "
-        f"within {100 * best.within:.2g} %); one sample less of delay saves {best.per_sample:.3g}{unit}"
+        f"with this delay, the cost of every wall is at least about {best.cost:.4g}{unit}, without damping of the "
+        f"device (5.19, within {100 * best.within:.2g} %); one sample less of delay saves {best.per_sample:.3g}{unit}"
     )
 
 
@@ -224,7 +231,7 @@ def _check_files(out: Path | None, picture: Path | None) -> None:
 
 
 def _rows_file(out: Path, columns: dict[str, list[Any]], case: Case | None) -> list[str]:
-    """Write columns to a file, and return the lines to print about it."""
+    """Write columns to a file, and return the lines to print about this file."""
     from pipeline.rendering.theory_files import write_rows
 
     write_rows(out, columns, case)
@@ -269,13 +276,14 @@ def explore(
         Path | None, option("--out", "HTML file to write (default: explore.html).", show_default=False)
     ] = None,
     module: Annotated[
-        Path | None, option("--module", "Only write the computation, as .mjs.", show_default=False)
+        Path | None, option("--module", "Write only the computation, as a module (.mjs).", show_default=False)
     ] = None,
     processed: Store = "processed",
 ) -> None:
     """Write an HTML page with sliders for the theory of a loop.
 
-    If reports/DEVICE.json contains a comparison, the page includes its identified loop, trials, limits and best wall.
+    If reports/DEVICE.json contains a comparison, the page includes the identified loop, trials, limits and best wall of
+    this comparison.
 
     Example: pipeline explore --device falcon --experiment 1 --out falcon-explore.html
 
@@ -298,7 +306,8 @@ def explore(
 
 
 def _entries(device: str | None, experiment: str | None, processed: str) -> list[Entry]:
-    """Return the entries of the `explore` page: measured experiments, then the device file, then other devices."""
+    """Return the entries of the `explore` page: first measured experiments, then the device file, then other
+    devices."""
     from pipeline.device.parameters import drive_of
     from pipeline.device_data.devices import find_experiment, known_devices
     from pipeline.explorer.entries import device_entries
@@ -314,7 +323,7 @@ def _entries(device: str | None, experiment: str | None, processed: str) -> list
         return measured
     if drive := drive_of(known.motion):
         raise DeviceError(
-            f"device {known.name!r}: its commands are in {drive}, but the page computes with forces or torques. Give "
+            f"device {known.name!r}: its commands are in {drive}, but the page computes with forces or torques. State "
             "the gain of the drive when the logs are read (--gain '2.3 N/V', or [units] gain in a profile)."
         )
     if experiment is not None:
@@ -351,7 +360,7 @@ def tables(
 ) -> None:
     """Recompute Tables B, C, D and 5.1 of the thesis.
 
-    The theoretical rows of Tables D are recomputed. The printed measurements are listed with their deviation from
+    The theoretical rows of Tables D are recomputed. The printed measurements are listed with their deviations from
     theory.
 
     Example: pipeline theory tables C.1 D.6
@@ -384,7 +393,7 @@ def tables(
 
 
 def _shown(table: str, count: int, rows: Iterator[Row]) -> Iterator[Row]:
-    """Yield the rows of a table, and show the progress."""
+    """Yield the rows of a table, and show progress."""
     with console.progress(f"Table {table}", "rows") as advance:
         for number, row in enumerate(rows, start=1):
             yield row
@@ -392,12 +401,15 @@ def _shown(table: str, count: int, rows: Iterator[Row]) -> Iterator[Row]:
 
 
 def accuracy(
-    quick: Annotated[bool, option("--quick", "Use fewer settings and repetitions, which takes seconds.")] = False,
+    quick: Annotated[
+        bool, option("--quick", "Use fewer settings and repetitions, so that the run takes only seconds.")
+    ] = False,
 ) -> None:
-    """Measure error and run time of each numerical method.
+    """Measure the error and the run time of each numerical method.
 
     The command writes accuracy.html and accuracy.json into the folder of reports. Reports of comparisons show the part
-    on theory as long as code and machine are unchanged. The results are stored in processed, or in PIPELINE_PROCESSED.
+    on theory as long as the code and the machine are unchanged. The results are stored in processed, or in
+    PIPELINE_PROCESSED.
 
     Example: pipeline accuracy --quick
     """
@@ -418,7 +430,7 @@ def accuracy(
 
 
 def _case(delay: float | None, gamma: float, delta: float, device: str | None, experiment: str | None) -> Case:
-    """Return the loop given by normalised numbers, or the loop of a device given by name or file."""
+    """Return the loop of normalised numbers, or the loop of a device with the given name or file."""
     from pipeline.theory.cases import Case, case_of
 
     if device is not None:

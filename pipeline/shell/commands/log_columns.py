@@ -32,7 +32,7 @@ _STATED: dict[str, object] = {
     "step": Annotated[Text, option("--step", "External step: a column F0:N, or '4 N'.")],
     "kind": Annotated[Text, option("--kind", "Cause of the motion: step, release, hit, free or staircase.")],
     "period": Annotated[Text, option("--period", "Sampling period, '1 ms' (default: from the time stamps).")],
-    "gain": Annotated[Text, option("--gain", "Force per unit of the command, '2.3 N/V'.")],
+    "gain": Annotated[Text, option("--gain", "Gain of the drive (force per unit of the command), '2.3 N/V'.")],
     "device": Annotated[Text, option("--device", "Name of the device of the logs.")],
     "experiment": Annotated[Text, option("--experiment", "Name of the experiment (default: 1).", "-e")],
 }
@@ -46,7 +46,7 @@ def reads_logs(paths: str, *, walls: bool = True) -> Callable[[Callable[..., Any
     Parameters
     ----------
     paths : str
-        Name of the command's parameter that contains the logs.
+        Name of the parameter of the command that contains the logs.
     walls : bool
         As for `stated_profile`.
     """
@@ -100,7 +100,7 @@ def _stated(texts: dict[str, Text], logs: list[Path], profile: Text, save: Path 
     if save is not None:
         check_output(save, "--save-profile")
         if save.exists():
-            raise UsageError(f"--save-profile {save}: already exists. Give another file, or remove it.")
+            raise UsageError(f"--save-profile {save}: already exists. Name another file, or remove this one.")
     made, evidence = stated_profile(StatedColumns(**texts), logs, walls=walls)
     for line in evidence:
         console.step(line)

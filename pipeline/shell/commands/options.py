@@ -1,4 +1,4 @@
-"""Options that several commands share. A list is given by repeating an option or by commas."""
+"""Options that several commands share. A list is given by repeating an option or by separating items with commas."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def _folder(text: str) -> Path:
 
 
 def _split(given: list[str] | None) -> list[str] | None:
-    """Return the words of a list. A word that contains a comma must be in double quotes."""
+    """Return the items of a list. An item that contains a comma must be in double quotes."""
     return [word for row in csv.reader(given, skipinitialspace=True) for word in row or ("",)] if given else None
 
 
 def listed(name: str, help_text: str, *more: str, **how: Any) -> Any:
-    """Return an option that is a list of words."""
+    """Return an option whose value is a list."""
     return option(name, f"{help_text} Repeat or use commas.", *more, callback=_split, **how)
 
 
@@ -47,7 +47,7 @@ ExecutorName = Annotated[str, option("--executor", "Where to compute: local, or 
 ProfileFile = Annotated[str | None, option("--profile", "Log profile: name or file (.toml).")]
 Ignore = Annotated[list[str] | None, option("--ignore", "Names of files that are not logs, 'cal_*'. Repeatable.")]
 LogProfile = Any
-"""A profile as a command receives it: the name or file of `ProfileFile`, or a profile made from column options."""
+"""Profile received by a command: the name or file of `ProfileFile`, or a profile made from column options."""
 DeviceName = Annotated[str, option("--device", "Device: name or file (.toml).")]
 One = Annotated[str | None, option("--experiment", "Experiment (default: the first).", "-e")]
 Experiments = Annotated[list[str] | None, listed("--experiment", "Experiments (default: all).", "-e")]
@@ -59,7 +59,7 @@ Out = Annotated[Path | None, option("--out", "File to write.", show_default=Fals
 def quantity(option: str, text: str, *names: str) -> float:
     """Return the value of an option in SI.
 
-    A number without unit is in SI; a unit must belong to one of the quantities.
+    A number without a unit is in SI. A unit must belong to one of the quantities.
     """
     from pipeline.base.units import quantity_in_si
 
@@ -72,7 +72,7 @@ def quantity(option: str, text: str, *names: str) -> float:
 def stiffness_of(text: str, motion: Motion | None) -> float:
     """Return the value of ``--stiffness`` in SI.
 
-    A number without unit is in SI; a unit must fit the motion of the device.
+    A number without a unit is in SI. A unit must fit the motion of the device.
 
     Without a motion, the value is the normalised stiffness alpha.
     """
@@ -93,7 +93,9 @@ def stiffness_of(text: str, motion: Motion | None) -> float:
             if is_rotation(motion)
             else ""
         )
-        raise UsageError(f"--stiffness {text}: the device's motion is a {motion}; expected {si}.{lever}")
+        raise UsageError(
+            f"--stiffness {text}: the motion of the device is a {motion}, so the stiffness must be in {si}.{lever}"
+        )
     return value * unit.factor
 
 

@@ -1,7 +1,7 @@
 """Preview a profile on sample files, with conditions and their sources, columns in SI units, time, step, and warnings.
 
-A warning concerns a log that can be read but contradicts the profile. Nothing is stored. If `pipeline ingest` would
-refuse a file, the preview shows the reason.
+A warning is given for a log that can be read but contradicts the profile. Nothing is stored. If `pipeline ingest` would
+refuse a file, the preview states the reason.
 """
 
 from __future__ import annotations
@@ -29,12 +29,14 @@ from pipeline.shell.console import grouped
 from pipeline.surface.log_picture import step_of, trial_of
 
 NOTHING = 1e-15
-"""Largest magnitude [SI] of a number that is a rounding error of 0."""
+"""Largest magnitude [SI] of a number that is treated as a rounding error of 0."""
 
 STEP_ROWS, STEP_TOLERANCE = 3, 0.1
-"""Number of rows from the step on whose median is the step size, and allowed relative difference from the header.
+"""Number of rows after the step over which the median of the command is computed, and allowed relative difference
+between this jump and the header.
 
-A single row may be noisy, and later rows include the velocity filter. A header often states a rounded number.
+A single row may be noisy, and later rows include the effect of the velocity filter. A header often states a rounded
+number.
 """
 
 PLAUSIBLE: dict[str, dict[Kind, tuple[float, float]]] = {
@@ -45,22 +47,23 @@ PLAUSIBLE: dict[str, dict[Kind, tuple[float, float]]] = {
     "displacement": {"translation": (1e-6, 1.0), "rotation": (1e-6, 1e5)},
     "duration_s": dict.fromkeys(("translation", "rotation"), (5e-3, 1e3)),
 }
-"""Plausible range of each quantity in SI, for fingers and arms, and drives of 1 W to 1 kW. 0 means absent."""
+"""Plausible range of each quantity in SI, for devices between finger and arm size with drives of 1 W to 1 kW. A value
+of 0 means absent."""
 
 
 IS_UNUSUAL = "check its unit"
 """End of the sentence about an implausible number."""
 
 Checked = JsonObject
-"""Result for a sample: ``path``, and its ``trials`` or the ``reason`` why it would be refused, with the ``row``.
+"""Result for a sample: its ``path`` and its ``trials``, or the ``reason`` and ``row`` with which it would be refused.
 
 ``conditions`` of a trial have ``name``, ``value``, ``unit``, the ``place`` (in the profile or the header) that gives
-the condition, and the ``usual`` range for devices. Displacement and duration are computed from the samples. ``columns``
+the condition, and the ``usual`` range of devices. Displacement and duration are computed from the samples. ``columns``
 have the SI name ``column``, its ``source`` and ``unit`` in the file, and the ``first`` and ``last`` value in
 ``unit_si``. ``time`` has the flags of `pipeline.readers.log.step_flags` and the repairs of rows. ``step_row`` is the
-row of the step, counted from 0. ``step`` is its source, or the reason why it is unknown. ``other_gains`` gives the
-stiffness, damping or step that the command follows, if the conditions state others, and the line that corrects them.
-``obeyed`` has these gains in SI.
+row of the step, counted from 0. ``step`` is its source, or the reason why it is unknown. ``other_gains`` states the
+stiffness, damping or step that the command follows if the conditions state other values, and the line that corrects the
+conditions. ``obeyed`` has these gains in SI.
 """
 
 
@@ -129,7 +132,8 @@ def _conditions(profile: Profile, name: str, log: Log, motion: Motion) -> Iterat
         if key == "motion" and profile.format != "native":
             place = "constants" if profile.constants.motion else "columns.position.unit"
         usual, fault = "", ""
-        if key in PLAUSIBLE and not (drive_of(motion) and key in OF_WALL):  # ranges are unknown for units of a drive
+        # No plausible ranges are known in units of a drive.
+        if key in PLAUSIBLE and not (drive_of(motion) and key in OF_WALL):
             low, high = PLAUSIBLE[key]["rotation" if is_rotation(motion) else "translation"]
             usual = f"{low:g} to {high:g}"
             if value and not low <= abs(value) <= high:
@@ -151,12 +155,12 @@ def _columns(profile: Profile, log: Log, motion: Motion) -> Iterator[JsonObject]
 
 
 def _other_kind(profile: Profile, log: Log) -> Iterator[str]:
-    """Yield a problem if a log declared as a release or a hit shows the other kind of motion, or neither."""
+    """Yield a problem if a log declared as a release shows a hit, or vice versa, or if it shows neither."""
     if profile.kind not in ("release", "hit"):
         return
     found = find_release(trial_of(log))
     if found.kind and found.kind != profile.kind:
-        yield f"kind is {profile.kind!r}, but the log shows a {found.kind}. Check which is right"
+        yield f"kind is {profile.kind!r}, but the log shows a {found.kind}. Check which of the two is right"
     elif not found.kind:
         yield f"kind is {profile.kind!r}, but no free motion was found ({found.reason}), so there will be no verdict"
 
@@ -168,15 +172,18 @@ def _other_step(log: Log, step_row: int | None) -> Iterator[str]:
         return
     before = log.command[:step_row] if step_row else np.zeros(1)
     jump = float(np.median(log.command[step_row : step_row + STEP_ROWS]) - np.median(before))
-    # Noise before the step, passed through the velocity filter, determines the accuracy of the jump.
+    # The accuracy of the jump is limited by noise, visible in the command before the step.
     if abs(jump - step) > STEP_TOLERANCE * abs(step) + float(np.ptp(before)):
-        yield f"the command jumps by {jump:.4g} in row {step_row}, but the step is {step:.4g}. Check which is right"
+        yield (
+            f"the command jumps by {jump:.4g} in row {step_row}, but the stated step is {step:.4g}. Check which of the "
+            "two is right"
+        )
 
 
 def check_lines(samples: Sequence[Checked]) -> list[str]:
     """Return samples as lines of text.
 
-    The first readable sample is shown in full, and each other sample on one line.
+    The first readable sample is shown in full. Each of the other samples is shown on one line.
     """
     lines, found, others, refused = list[str](), [], [], []
     for sample in samples:

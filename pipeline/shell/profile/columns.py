@@ -1,8 +1,8 @@
 """Conversion of columns named on the command line to an ordinary profile.
 
-The logs must show everything else, namely the layout of the files, the sampling period, the sign of the position, and
-the row of the step. Units are never guessed. Before the profile is used, it is checked against some of the logs. It is
-refused if their commands do not follow the stated wall.
+All other settings must follow from the logs: the layout of the files, the sampling period, the sign of the position,
+and the row of the step. Units are never guessed. Before the profile is used, it is checked against some of the logs.
+The profile is refused if their commands do not follow the stated wall.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from pipeline.shell.profile.check import check_samples
 from pipeline.shell.profile.roles import SAME_PERIOD, plausible_units
 
 MOST_SAMPLES = 12
-"""Largest number of inspected logs, evenly spread. It suffices to check that all logs have the same form."""
+"""Largest number of inspected logs, evenly spread. This number is enough to check that all logs have the same form."""
 
 ROUND_PERIOD = 2e-4
 """Largest relative deviation of a sampling period from the round number that replaces it."""
@@ -43,10 +43,10 @@ COLUMNS, OPTIONAL = ("time", "command", "position"), ("force",)
 
 @dataclass(frozen=True)
 class StatedColumns:
-    """Column options of a command line. Each is a text for `ColumnText`, or None.
+    """Column options of a command line. Each value is a text for `ColumnText`, or None.
 
-    ``period`` is the sampling period of the controller. By default, it is taken from the time stamps. ``kind`` is the
-    kind of the trials, as in a profile.
+    ``period`` is the sampling period of the controller. By default, the period is taken from the time stamps. ``kind``
+    is the kind of the trials, as in a profile.
     """
 
     time: str | None = None
@@ -67,11 +67,11 @@ class StatedColumns:
 Item = TypeVar("Item")
 
 OPTIONS = {"sampling_period_s": "period"}
-"""Options whose name differs from the name of their condition."""
+"""Name of the option for each condition, where the two names differ."""
 
 
 def option_of(place: Sequence[str | int]) -> str:
-    """Return the option that gives a key of a profile.
+    """Return the option that sets a key of a profile.
 
     >>> option_of(("columns", "time", "unit")), option_of(("constants", "sampling_period_s"))
     ('--time', '--period')
@@ -84,7 +84,7 @@ def option_of(place: Sequence[str | int]) -> str:
 
 
 def stated_profile(stated: StatedColumns, paths: Sequence[Path], *, walls: bool = True) -> tuple[Profile, list[str]]:
-    """Return the profile of logs that column options describe, and sentences with the evidence from the logs.
+    """Return the profile that column options and logs define, and sentences with the evidence from the logs.
 
     Parameters
     ----------
@@ -92,14 +92,14 @@ def stated_profile(stated: StatedColumns, paths: Sequence[Path], *, walls: bool 
     paths : sequence of Path
         The logs, or folders that are searched for logs.
     walls : bool
-        Whether conditions and a device name are required, as they are for storing logs.
+        Whether conditions and a device name are required, as for storing logs.
 
     Raises
     ------
     UsageError
         If a required column is not named or is missing in the files, or a unit is unknown or not stated.
     ProfileError
-        If the options contradict each other, or the command of a log follows another wall.
+        If the options contradict each other, or the command of a log follows a different wall.
     """
     for name in ("command", "position"):
         if getattr(stated, name) is None:
@@ -121,7 +121,7 @@ def stated_profile(stated: StatedColumns, paths: Sequence[Path], *, walls: bool 
 
 
 def _plain(option: str, text: str) -> str:
-    """Return the message of a profile error with options in place of profile keys."""
+    """Return the message of a profile error, with profile keys replaced by options."""
     text = re.sub(r"^key '[^']*': ", "", text)
     text = re.sub(r'\[units\] gain = "<number> (N\w*)/(\S+)"', r"--gain '<number> \1/\2'", text)
     text = re.sub(r"Add (\w+) = (.*)", rf"Write {option} with one of these units: \2", text)
@@ -150,12 +150,13 @@ def suffix_of(path: Path) -> str:
 
 
 def _samples(stated: StatedColumns, files: Sequence[Path]) -> tuple[list[Path], list[Sample]]:
-    """Return the files of the most frequent extension that have the columns, and some of these files opened.
+    """Return the files of the most frequent extension that have the columns, and the opened samples of some of these
+    files.
 
     Raises
     ------
     UsageError, LogError
-        If no file has the columns. The reason is that of the first file.
+        If no file has the columns. The error states the reason for the first file.
     """
     by_ending: dict[str, list[Path]] = {}
     for file in files:
@@ -177,11 +178,12 @@ def _samples(stated: StatedColumns, files: Sequence[Path]) -> tuple[list[Path], 
             opened.append(sample)
         if opened:
             return group, opened
-    raise first or UsageError("no log found. Give log files, or folders that contain logs.")
+    raise first or UsageError("no log found. Name log files, or folders that contain logs.")
 
 
 def _as_constant(name: str, text: str, sample: Sample) -> ColumnText | None:
-    """Return the constant that a text gives for a column. Only a time can be constant, if no column has this name."""
+    """Return the constant that a text states for a column. Only the time can be constant, and only if no column has
+    this name."""
     if name != "time" or text in sample.contents.columns:
         return None
     found = ColumnText.constant(text)
@@ -189,7 +191,7 @@ def _as_constant(name: str, text: str, sample: Sample) -> ColumnText | None:
 
 
 class _Maker:
-    """Builder of the values of a profile. ``evidence`` collects what the logs show."""
+    """Builder of the values of a profile. ``evidence`` collects sentences with the evidence from the logs."""
 
     def __init__(self, stated: StatedColumns, samples: Sequence[Sample], walls: bool) -> None:
         self.stated, self.samples, self.walls = stated, samples, walls
@@ -217,7 +219,7 @@ class _Maker:
         if stated.device is not None or not self.walls:
             constants["device"] = stated.device or "device"
         elif self.table is None or "device" not in conditions_by_name(self.table.names):
-            raise UsageError("--device is missing: give a name for the device of these logs, such as --device bench.")
+            raise UsageError("--device is missing: state a name for the device of these logs, such as --device bench.")
         if self._turns(columns["position"]["unit"]):
             constants["motion"] = "rotation"
         values |= {"constants": constants, "units": {}, "attributes": {}, "condition_columns": {}}
@@ -255,7 +257,7 @@ class _Maker:
         return table
 
     def _clock(self) -> str:
-        """Return the time column if no option names it. It is the only column that increases by equal steps."""
+        """Return the time column if no option names one: the only column that increases in every row."""
         numbers = self.sample.numbers
         texts = (getattr(self.stated, name) for name in (*COLUMNS[1:], *OPTIONAL))
         taken = {ColumnText.among("", text, list(numbers)).column for text in texts if text is not None}
@@ -266,15 +268,19 @@ class _Maker:
         ]
         if len(rising) != 1:
             listing = f"{', '.join(rising)} increase in every row" if rising else "no column increases in every row"
-            hint = "Name the column with its unit, such as --time t:s. Without a time column, give --time '1 ms'."
-            raise UsageError(f"--time is missing, and {self.sample.name} does not show it: {listing}. {hint}")
+            hint = (
+                "Name the column with its unit, such as --time t:s. If the file has no time column, add --time '1 ms'."
+            )
+            raise UsageError(
+                f"--time is missing, and {self.sample.name} does not show which column is the time: {listing}. {hint}"
+            )
         self.evidence.append(f"time is {rising[0]!r}, the only column that increases in every row")
         return rising[0]
 
     def _unit(self, name: str, column: str) -> str:
-        """Return the unit of a column for which the option gives none.
+        """Return the unit of a column if the option states none.
 
-        It is the unit in the file, or the unit that follows from the steps of the column.
+        The unit is stated in the file, or follows from the steps of the column.
         """
         stated = self.sample.unit(column, name)[1]
         if stated and find_unit(stated) is not None:
@@ -284,21 +290,22 @@ class _Maker:
             pace = float(np.median(np.diff(self.sample.numbers[column])))
             fits = plausible_units(self.sample, "time", column, pace)
             if len(fits) == 1:
-                self.evidence.append(f"time is in {fits[0]}: consecutive stamps differ by {pace:g}")
+                self.evidence.append(f"time is in {fits[0]}, because consecutive stamps differ by {pace:g}")
                 return fits[0]
             either = " or ".join(f"{column}:{unit}" for unit in fits) or f"{column}:s"
             raise UsageError(f"--time {column}: the rows are {pace:g} apart, but no unit is stated. Write {either}.")
         units = {"command": "N, Nm, V, A, counts or %", "position": "mm, m, rad or deg", "force": "N or Nm"}[name]
         example = {"command": "N", "position": "mm", "force": "N"}[name]
-        raise UsageError(f"--{name} {column}: no unit is stated. Write {column}:{example}; one of {units}.")
+        raise UsageError(
+            f"--{name} {column}: no unit is stated. Write for example {column}:{example}. Possible units: {units}."
+        )
 
     def _turns(self, unit: str) -> bool:
         known = find_unit(unit)
         return known is not None and known.quantity in ("angle", "angular velocity")
 
     def _condition(self, values: JsonObject, name: str, text: str) -> None:
-        """Store the source of a condition. It is a constant, a value outside the table, a column, or the name of the
-        file.
+        """Store the source of a condition: a constant, a value outside the table, a column, or the name of the file.
 
         Raises
         ------
@@ -339,7 +346,7 @@ class _Maker:
         self.evidence.append(f"{name} is {place}")
 
     def _period(self, values: JsonObject) -> None:
-        """Set the sampling period. It is the stated one, or the time between the rows of all samples."""
+        """Set the sampling period: the stated period, or the time between the rows of all samples."""
         text = self.stated.period
         if text is None and self.stated.time is not None:
             constant = _as_constant("time", self.stated.time, self.sample)
@@ -354,19 +361,23 @@ class _Maker:
             if (stamps := sample.numbers.get(column)) is not None and len(stamps) > 2:
                 paces[sample.name] = float(np.median(np.diff(stamps))) * unit
         if not paces or min(paces.values()) <= 0:
-            raise UsageError("--period is missing, and the stamps do not show it. Give it, such as --period '1 ms'.")
+            raise UsageError(
+                "--period is missing, and the time stamps do not show the period. State the period, such as --period "
+                "'1 ms'."
+            )
         slow, fast = max(paces, key=lambda name: paces[name]), min(paces, key=lambda name: paces[name])
         if paces[slow] > paces[fast] * (1 + SAME_PERIOD):
             raise UsageError(
                 f"the logs have different sampling periods: {paces[fast]:.6g} s in {fast}, {paces[slow]:.6g} s in "
-                f"{slow}. Read them separately, each with its --experiment, or give the column of --period."
+                f"{slow}. Read the logs of each period separately, with a different --experiment, or name the column "
+                "of the period with --period."
             )
         period = round_period(float(np.median([*paces.values()])))
         values["constants"]["sampling_period_s"] = period
         self.evidence.append(f"the sampling period is {period:g} s, the time between the rows of {_logs(len(paces))}")
 
     def _wall(self, values: JsonObject) -> None:
-        """Set the keys that the wall law of the commands shows, which are the sign of the position and the time of the
+        """Set the keys that follow from the wall law of the commands: the sign of the position and the time of the
         step."""
         kind = self.stated.kind or "step"
         if kind not in IMPLIED:
@@ -382,7 +393,7 @@ class _Maker:
         if missing := [f"--{key}" for key in OF_WALL if key not in {*given, *IMPLIED[kind]}]:
             raise UsageError(
                 f"{' and '.join(missing)} missing: a wall needs --stiffness, --damping and --step, each as a column or "
-                "as a constant such as '0 N'. For logs without wall and step, omit all three."
+                "as a constant such as '0 N'. For logs without a wall and a step, omit all three options."
             )
         laws = dict(self._laws(values))
         texts = (self.stated.position or "", self.stated.command or "")
@@ -391,7 +402,8 @@ class _Maker:
             if len(against) == len(laws):
                 values["columns"]["position"]["sign"] = -1
                 self.evidence.append(
-                    f"sign of the position is -1: in {_logs(len(laws))} the command pushes towards smaller numbers"
+                    f"sign of the position is -1, because in {_logs(len(laws))} the command pushes towards smaller "
+                    "numbers"
                 )
         column = _column_key(values["columns"]["command"])
         begun = [
@@ -403,7 +415,7 @@ class _Maker:
             values["step_at"] = "first row" if begun and all(begun) else "command edge"
 
     def _laws(self, values: Mapping[str, Any]) -> Iterator[tuple[str, WallGains]]:
-        """Yield the wall law that the command of each sample follows, in the numbers of the file and in seconds."""
+        """Yield the wall law that the command of each sample follows, in the units of the file and in seconds."""
         clock, *pair = (values["columns"][name] for name in COLUMNS)
         for sample in self.samples:
             found = [sample.numbers[key] for key in map(_column_key, pair) if key in sample.numbers]
@@ -433,7 +445,7 @@ def _logs(count: int) -> str:
 
 
 def round_period(seconds: float) -> float:
-    """Return the nearest round number of seconds if it is close to the period, otherwise the period with six digits.
+    """Return the nearest round number of seconds if it is close to the period, otherwise the period to six digits.
 
     >>> round_period(0.00100013), round_period(1 / 3000), round_period(0.00025)
     (0.001, 0.000333333, 0.00025)
@@ -461,14 +473,14 @@ def with_group(pattern: str | None, words: Sequence[str], word: str, key: str) -
     group = f"(?:^|[^A-Za-z]){re.escape(word)}[_= ]?(?P<{key}>-?[0-9]+(?:[.,][0-9]+)?)"
     if pattern is None:
         return group
-    # The groups have the order of the words in the names.
+    # The groups are in the order of the words in the names.
     parts = {part: text for text in pattern.split(".*") for part in words if f"]){re.escape(part)}[" in text}
     parts[word] = group
     return ".*".join(parts[part] for part in words if part in parts)
 
 
 def _check(profile: Profile, stated: StatedColumns, files: Sequence[Path]) -> None:
-    """Refuse a profile if the command of a log follows another wall than the profile states.
+    """Refuse a profile if the command of a log follows a wall that differs from the stated one.
 
     Raises
     ------
@@ -496,7 +508,7 @@ def _parts(text: str) -> tuple[str, str]:
 
 
 def _in_options(cure: str, stated: StatedColumns) -> str:
-    """Return a remedy with options in place of profile lines."""
+    """Return a remedy, with profile lines replaced by options."""
 
     def name(option: str) -> str:
         return _parts(getattr(stated, option, None) or "")[0]

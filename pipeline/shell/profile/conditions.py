@@ -25,9 +25,10 @@ Numbers = Sequence[float | None]
 
 
 def factor_of(numbers: Numbers, followed: Sequence[float]) -> float | None:
-    """Return the factor from numbers to the gains that commands follow, or None if there is no common factor.
+    """Return the common factor by which numbers are multiplied to obtain the gains that commands follow, or None if
+    there is none.
 
-    At most the share `MOST_AT_FAULT` of the numbers may be wrong. They are reported when the logs are read.
+    At most the share `MOST_AT_FAULT` of the numbers may be wrong. Wrong numbers are reported when the logs are read.
 
     >>> factor_of([1.0, 2.0, 0.0], [1000.0, 2000.0, 0.0]), factor_of([1.0, 2.0], [5.0, 5.0])
     (1000.0, None)
@@ -55,8 +56,7 @@ def proved_unit(numbers: Numbers, followed: Sequence[float], key: str, kind: Kin
 
 
 def numbers_inside(contents: Sequence[FileColumns]) -> dict[tuple[str, str], Numbers]:
-    """Return the numbers stated in files, or in trials of a file. They are values outside the table, and constant
-    columns.
+    """Return the numbers stated in files, or in trials of a file: values outside the table, and constant columns.
 
     A key consists of the profile table (``attributes``, ``condition_columns``) and the name. Numbers followed by a unit
     are converted to SI.
@@ -75,7 +75,7 @@ def numbers_inside(contents: Sequence[FileColumns]) -> dict[tuple[str, str], Num
 
 
 def _number(value: Scalar | None) -> float | None:
-    """Return the number of a value outside the table, in SI if it has a unit, or None if it is not a number."""
+    """Return a value outside the table as a number, in SI if the value has a unit, or None if it is not a number."""
     if isinstance(value, int | float):
         return float(value)
     try:
@@ -88,7 +88,8 @@ def _number(value: Scalar | None) -> float | None:
 def place_of(
     inside: Mapping[tuple[str, str], Numbers], followed: Sequence[float], names: Sequence[str]
 ) -> tuple[str, str] | None:
-    """Return table and name of the numbers that are proportional to the gains of the commands, or None without any.
+    """Return the table and the name of numbers that are proportional to the gains of the commands, or None if there are
+    none.
 
     A usual name of the condition is preferred. For any other name, enough different values are required, so that
     agreement by chance is excluded.

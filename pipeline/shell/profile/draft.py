@@ -1,9 +1,9 @@
 """Draft a profile for sample logs, as TOML text with the keys that the data prove, their evidence, and questions.
 
 A question is a line ``# QUESTION: key: words`` above the key, which is commented out with a possible answer. To answer
-it, uncomment the key and correct its value. There are at most `MOST_QUESTIONS` questions, and only about keys that
-would change numbers silently: columns that neither their names nor the motion identifies, and units that neither the
-file nor the wall law of the command shows.
+it, uncomment the key and correct its value. There are at most `MOST_QUESTIONS` questions. They concern only keys whose
+wrong value would change results silently: columns that neither their names nor the motion identifies, and units that
+neither the file nor the wall law of the command shows.
 """
 
 from __future__ import annotations
@@ -21,14 +21,15 @@ from pipeline.shell.profile.evidence import answers, common_laws, trials_of
 from pipeline.shell.profile.roles import Answer, Answers
 
 MOST_QUESTIONS = 5
-"""Largest number of questions in a draft. Users do not read more, and answers lead to further questions."""
+"""Largest number of questions in a draft. Users do not read more questions, and each answer may lead to further
+questions."""
 
 LISTED = 24
 """Largest number of columns, and of values outside the table, listed as comments in a draft. A bag has hundreds."""
 
 
 def draft_profile(path: Path, *others: Path) -> str:
-    """Return a draft profile for a sample as TOML text, with a line for each other sample that has another form.
+    """Return a draft profile for a sample as TOML text, with a line for each other sample that has a different form.
 
     Raises
     ------
@@ -46,7 +47,7 @@ def draft_profile(path: Path, *others: Path) -> str:
         try:
             opened = open_sample(other)
         except (LogError, ProfileError) as error:
-            different.append(f"# {other.name} has another form: {error}")
+            different.append(f"# {other.name} has a different form: {error}")
             continue
         if difference := _difference(sample, opened):
             different.append(difference)
@@ -76,8 +77,8 @@ def _differing(samples: list[Sample], found: Answers) -> Answers:
         values = sorted(law.followed(key) for law in laws if key != "step" or law.kind == "step")
         if len(values) > 1:
             words = (
-                f"the commands of these logs follow a {key} of {values[0]:.4g} to {values[-1]:.4g} [SI]. State it in "
-                "name_pattern, [attributes], [condition_columns], [[file]] or [sheet], not here."
+                f"the commands of these logs follow a {key} of {values[0]:.4g} to {values[-1]:.4g} [SI]. State this "
+                "condition in name_pattern, [attributes], [condition_columns], [[file]] or [sheet], not here."
             )
             questions[f"constants.{key}"] = Answer(values[0], question=words)
     return questions
@@ -90,12 +91,14 @@ def _difference(sample: Sample, other: Sample) -> str:
         for s in (sample, other)
     )
     changed = [f"{key} = {_toml(found.get(key))}" for key in own | found if own.get(key) != found.get(key)]
-    return f"# {other.name} has another layout: {', '.join(changed)}" if changed else ""
+    return f"# {other.name} has a different layout: {', '.join(changed)}" if changed else ""
 
 
 def _lines(sample: Sample, found: dict[str, Answer]) -> Iterator[str]:
-    """Yield the lines of the draft by table. They contain known keys, and keys with questions."""
-    yield f"# Draft for {_toml(sample.name)}. The evidence follows each key. Below a question is the key to set."
+    """Yield the lines of the draft, ordered by table: known keys, and keys with questions."""
+    yield (
+        f"# Draft for {_toml(sample.name)}. The evidence follows each key. Each question is followed by the key to set."
+    )
     short = re.sub(r"[^a-z0-9]+", "_", Path(sample.name).stem.lower()).strip("_")
     yield from (f"name = {_toml(short or 'lab')}", f"format = {_toml(sample.kind)}")
     yield f"files = [{_toml(file_pattern(sample.name))}] # names of the logs"
@@ -118,7 +121,10 @@ def _lines(sample: Sample, found: dict[str, Answer]) -> Iterator[str]:
             yield f"{QUESTION} {f'{above}.{key}' if above else key}: {answer.question}"
             yield f"# {key} = {_toml(answer.value)}"
         elif answer.question:
-            yield f"# question after the others are answered: {f'{above}.{key}' if above else key}: {answer.question}"
+            yield (
+                f"# further question, to be answered after the others: {f'{above}.{key}' if above else key}: "
+                f"{answer.question}"
+            )
         else:
             yield f"{key} = {_toml(answer.value)}" + (f" # {answer.evidence}" if answer.evidence else "")
 
@@ -138,7 +144,7 @@ def _remarks(sample: Sample) -> Iterator[str]:
         yield "# Values outside the table, from which [attributes] may read conditions:"
         yield from (f"#   {_toml(key)}: {_toml(str(value)[:80])}" for key, value in list(attributes.items())[:LISTED])
     yield "# Conditions that differ between files may come from name_pattern, [attributes], [condition_columns],"
-    yield "# [[file]] or [sheet]. A log of motion without wall and step has no stiffness, damping and step."
+    yield "# [[file]] or [sheet]. A log without a wall and a step has no stiffness, damping and step."
 
 
 def file_pattern(name: str) -> str:

@@ -2,7 +2,7 @@
 
 The wall law of a command identifies columns, signs, the step, and the units of stiffness and damping in file names. A
 free motion identifies the column that moves. Time stamps show their unit and the sampling period. Headings and unit
-lines state units. Other keys that would change numbers silently become questions.
+lines state units. Other keys become questions if a wrong value would change results silently.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class WallLaw(NamedTuple):
 
     @property
     def motion(self) -> Kind:
-        """Motion of the device, by the unit of its position."""
+        """Motion of the device, given by the unit of its position."""
         return "rotation" if UNITS[self.units["position"][0]].quantity == "angle" else "translation"
 
     def followed(self, key: str) -> float:
@@ -91,7 +91,7 @@ class WallLaw(NamedTuple):
 
 
 def near_round(value: float) -> float:
-    """Return the nearest round number if it is close to the value, otherwise the value with four digits.
+    """Return the nearest round number if it is close to the value, otherwise the value to four digits.
 
     >>> near_round(1200.3), near_round(7.96), near_round(0.12345678), near_round(0)
     (1200.0, 7.96, 0.1235, 0.0)
@@ -104,14 +104,14 @@ def near_round(value: float) -> float:
 
 
 def answers(samples: Sequence[Sample], paths: Sequence[Path]) -> Answers:
-    """Return the profile keys that samples of one form show, and questions about the others, in order.
+    """Return the profile keys that samples of one form prove, and questions about the other keys, in order.
 
     Parameters
     ----------
     samples : sequence of Sample
         Samples with the same layout. The first one is described.
     paths : sequence of Path
-        Their files and other files, whose names may contain conditions.
+        Files of the samples and further files, whose names may contain conditions.
     """
     sample = samples[0]
     laws = common_laws(samples)
@@ -133,7 +133,7 @@ def answers(samples: Sequence[Sample], paths: Sequence[Path]) -> Answers:
 
 
 _WALLS_GIVEN = ("units", "name_pattern", "attributes.st", "attributes.damping", "condition_columns")
-"""Prefixes of the keys in which a profile gives walls."""
+"""Prefixes of the keys with which a profile states walls."""
 
 
 def _keys(answers: Answers) -> set[str]:
@@ -141,7 +141,7 @@ def _keys(answers: Answers) -> set[str]:
 
 
 def _inside(samples: Sequence[Sample], laws: Sequence[WallLaw], names: Answers) -> Answers:
-    """Return the places in the files that state stiffness, damping and step, with units, as the commands show."""
+    """Return the places in the files that state stiffness, damping and step, with the units that the commands prove."""
     known = {tuple(law.columns.values()) for law in laws}
     pairs = [(each, law) for each in trials_of(samples)[:MOST_SAMPLES] if (law := wall_law(each)) is not None]
     pairs = [(each, law) for each, law in pairs if tuple(law.columns.values()) in known]
@@ -174,14 +174,14 @@ def _values(answers: Answers) -> set[str]:
 
 
 _SHOWN = {
-    "release": "the device leaves a position other than 0, and from there the command follows a wall at 0",
-    "hit": "the device is hit, and before and after the hit the command follows the wall",
+    "release": "the device leaves a position other than 0, and from then on the command follows a wall at 0",
+    "hit": "the device is hit, and the command follows the wall both before and after the hit",
 }
 """Evidence that there is no step."""
 
 
 def _kind_answer(samples: Sequence[Sample], laws: Sequence[WallLaw], columns: Answers, names: Answers) -> Answer | None:
-    """Return the excitation of the samples with the evidence, or None if it is a step."""
+    """Return the excitation of the samples with the evidence, or None if the excitation is a step."""
     kinds = Counter(law.kind for law in laws).most_common(1)
     if kinds:
         return Answer(kinds[0][0], _SHOWN[kinds[0][0]]) if kinds[0][0] in _SHOWN else None
@@ -196,7 +196,7 @@ def _kind_answer(samples: Sequence[Sample], laws: Sequence[WallLaw], columns: An
 
 
 def trials_of(samples: Sequence[Sample]) -> list[Sample]:
-    """Return one sample for each trial. If a file has many trials, a selection is used."""
+    """Return one sample for each trial. From a file with many trials, only a selection is returned."""
     found: list[Sample] = []
     for each in samples:
         some = spread(each.trials, MOST_SAMPLES)
@@ -205,7 +205,7 @@ def trials_of(samples: Sequence[Sample]) -> list[Sample]:
 
 
 def common_laws(samples: Sequence[Sample]) -> list[WallLaw]:
-    """Return the wall laws of samples whose columns agree with the majority.
+    """Return the wall laws of the samples whose columns are those of the majority.
 
     Without damping, command and position are interchangeable in the law.
     """
@@ -221,7 +221,7 @@ def common_laws(samples: Sequence[Sample]) -> list[WallLaw]:
 
 
 _ORDER = ("kind", "step_at", "name_pattern", "columns", "attributes", "condition_columns", "constants", "units")
-"""Tables of a profile in their order."""
+"""Tables and top-level keys of a profile, in their order."""
 
 
 def wall_law(sample: Sample) -> WallLaw | None:
@@ -251,10 +251,10 @@ def wall_law(sample: Sample) -> WallLaw | None:
 
 
 def _kind_of(law: WallGains, time: Floats, command: Floats, position: Floats) -> Excitation | None:
-    """Return the excitation of a device whose command follows a wall law, or None if none is visible.
+    """Return the excitation of a device whose command follows a wall law, or None if no excitation is visible.
 
-    A release from a position looks like a step by the wall force at that position. It is a release if the wall is then
-    at position 0, which is unlikely for a step.
+    A release from a position looks like a step whose size is the wall force at that position. The motion is treated as
+    a release if this implies a wall at position 0, which is unlikely for a step.
     """
     way = float(np.sign(law.stiffness))
     wall = (abs(law.stiffness), way * law.damping, 0.0, float(np.median(np.diff(time))))
@@ -303,9 +303,9 @@ def _logs(count: int) -> str:
 
 
 def _unit(sample: Sample, role: str, name: str, law: WallLaw | None, found: Answers) -> Answer:
-    """Return the unit of a column from the file or its numbers. Otherwise, return the question.
+    """Return the unit of a column, from the file or from its numbers, otherwise the question.
 
-    ``found`` contains the answers for the columns before this one. A position moved by a torque is an angle.
+    ``found`` contains the answers for the preceding columns. A position moved by a torque is an angle.
     """
     stated = stated_unit(sample, role, name)
     if stated:
@@ -320,7 +320,7 @@ def _unit(sample: Sample, role: str, name: str, law: WallLaw | None, found: Answ
         if (shown := _unit_by_rate(sample, name)) is not None and shown.value in units:
             return shown
         return Answer(
-            (units or ["s"])[0], question=f"the file does not state it. One of {', '.join(units or ['s', 'ms'])}."
+            (units or ["s"])[0], question=f"the file does not state the unit. One of {', '.join(units or ['s', 'ms'])}."
         )
     if role == "position" and (unit := _unit_of_file(sample)) is not None:
         return unit
@@ -331,9 +331,9 @@ def _unit(sample: Sample, role: str, name: str, law: WallLaw | None, found: Answ
         if moved is not None and not of_command.question:
             quantities = {moved}
     known = [symbol for symbol, unit in UNITS.items() if unit.quantity in quantities and symbol != "count"]
-    more = " For counts, also give counts_per_unit." * (role == "position")
+    more = " For counts, also set counts_per_unit." * (role == "position")
     heading = sample.unit(name, role)[1]
-    why = f"the file states {heading!r}, which is not a known unit" if heading else "the file does not state it"
+    why = f"the file states {heading!r}, which is not a known unit" if heading else "the file does not state the unit"
     return Answer(
         next((unit for unit in units if unit in known), known[0]),
         question=f"{why}. One of {', '.join(known)}.{more}",
@@ -341,19 +341,19 @@ def _unit(sample: Sample, role: str, name: str, law: WallLaw | None, found: Answ
 
 
 def _unit_by_rate(sample: Sample, time: str) -> Answer | None:
-    """Return the unit of time stamps with which a velocity integrates to its position, because velocities are per
-    second."""
+    """Return the unit of the time stamps for which the integral of a velocity is its position, because velocities are
+    per second."""
     for place in list(sample.numbers)[:MOST_TRIED]:
         found = rate_of(sample, time, place)
         if found is None:
             continue
         unit = next(symbol for symbol in ROLES["time"].units if UNITS[symbol].factor == found[1])
-        return Answer(unit, f"{found[0]!r} is the velocity of {place!r}, if it is in {unit}")
+        return Answer(unit, f"{found[0]!r} is the velocity of {place!r}, if the time stamps are in {unit}")
     return None
 
 
 def _unit_of_file(sample: Sample) -> Answer | None:
-    """Return the unit of positions that the file states as ``units``, or None if it states none."""
+    """Return the unit of positions that the file states as ``units``, or None if there is none."""
     for name, value in sample.contents.attributes.items():
         unit = find_unit(str(value)) if re.split(r"[./@]", name)[-1].lower() in ("unit", "units") else None
         if unit is not None and unit.quantity in QUANTITIES["position"].values():
@@ -362,7 +362,7 @@ def _unit_of_file(sample: Sample) -> Answer | None:
 
 
 def _sign(sample: Sample, role: str, names: dict[str, Answer], law: WallLaw | None) -> Answer:
-    """Return the sign of a column. It is 1, except for a position that decreases under a positive command."""
+    """Return the sign of a column. The sign is 1, except for a position that decreases under a positive command."""
     if role == "command":
         return Answer(1, "the direction of the command is positive by definition")
     if law is not None:
@@ -378,8 +378,10 @@ def _sign(sample: Sample, role: str, names: dict[str, Answer], law: WallLaw | No
             found = free_response(free_samples(time, command, position, pace)) if pace > 0 else None
             if found is not None and found.is_driven:
                 against = found.gain < 0
-                return Answer(-1 if against else 1, f"it accelerates {'against' if against else 'with'} the command")
-    return Answer(1, "a check refuses it if the motion shows the other sign")
+                return Answer(
+                    -1 if against else 1, f"the position accelerates {'against' if against else 'with'} the command"
+                )
+    return Answer(1, "a check refuses this sign if the motion shows the opposite sign")
 
 
 def _names(sample: Sample, paths: Sequence[Path]) -> Answers:
@@ -392,7 +394,7 @@ def _names(sample: Sample, paths: Sequence[Path]) -> Answers:
 
 
 def _constants(sample: Sample, columns: Answers) -> Answers:
-    """Return device name, experiment name and sampling period."""
+    """Return the device name, the experiment name and the sampling period."""
     found = {"constants.device": Answer("bench", "any name"), "constants.experiment": Answer("1", "any name")}
     place = "constants.sampling_period_s"
     unit = columns.get("columns.time.unit")
@@ -408,7 +410,7 @@ def _constants(sample: Sample, columns: Answers) -> Answers:
 
 
 def _stated_period(sample: Sample) -> Answers:
-    """Return the sampling period of a file without time stamps from a value outside the table, otherwise the
+    """Return the sampling period of a file without time stamps, from a value outside the table, otherwise the
     question."""
     place = "constants.sampling_period_s"
     stated: dict[str, set[float]] = {}
@@ -441,7 +443,7 @@ _PERIODS = (
 
 
 def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLaw], names: Answers) -> Answers:
-    """Return stiffness, damping and step. If file names contain the values, return only their units."""
+    """Return stiffness, damping and step, or only their units if the values are in the file names."""
     pattern = str(names["name_pattern"].value) if "name_pattern" in names else ""
     in_names = [_numbers_in_name(pattern, each) if pattern else {} for each in samples[: len(laws) or 1]]
     named = in_names[0]
@@ -456,7 +458,7 @@ def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLa
         if key == "step" and law.kind != "step":
             continue
         if key in named:
-            # In this unit, the command follows the number in the file name.
+            # The unit is chosen so that the command follows the number in the file name.
             pairs = ((value, abs(numbers[key])) for value, numbers in zip(mine, in_names, strict=False))
             ratio = next((value / number for value, number in pairs if value and number), None)
             if ratio is None or drive:
@@ -479,7 +481,7 @@ def _wall_questions(named: dict[str, float]) -> Iterator[tuple[str, Answer]]:
     """Yield questions about walls whose stiffness is in the file names if no command follows a wall law."""
     for key in named:
         units = [symbol for symbol, unit in UNITS.items() if unit.quantity == key]
-        words = f"what is the unit of the {key} in the file names? One of {', '.join(units)}; or Nm/rad, Nms/rad."
+        words = f"what is the unit of the {key} in the file names? One of {', '.join(units)}, or Nm/rad, Nms/rad."
         yield f"units.{key}", Answer(units[0], question=words)
     if "damping" not in named:
         yield "constants.damping", Answer(0, question="virtual damping B of the wall [Ns/m, Nms/rad]?")
@@ -497,7 +499,8 @@ def _numbers_in_name(pattern: str, sample: Sample) -> dict[str, float]:
 
 
 def _wall_in_name(stem: str) -> str:
-    """Return the pattern of a name that contains stiffness or damping once each, otherwise an empty text."""
+    """Return the pattern of a name that contains the stiffness once, and the damping at most once, otherwise an empty
+    text."""
     found = [match.groups() for match in _NAMED_WALL.finditer(stem)]
     letters = [letter.upper() for letter, *_ in found]
     if "K" not in letters or len(set(letters)) < len(letters):

@@ -1,4 +1,4 @@
-"""Identification of the time, command and position columns of a log by names, stated units, and the motion.
+"""Identification of the time, command and position columns of a log from names, stated units, and the motion.
 
 If several columns are possible, a question lists the candidates.
 """
@@ -25,18 +25,18 @@ MOST_TRIED = 8
 """Largest number of numeric columns tried as command and position."""
 
 CLEARLY = 3.0
-"""Factor by which the selected pair of columns must explain the motion better than all other pairs."""
+"""Factor by which the selected pair of columns must explain the motion better than any other pair."""
 
 SAME_PERIOD = 0.02
 """Relative tolerance between sampling periods of logs, and of equivalent clocks in a log. Clocks drift by less."""
 
 REGULAR = 0.02
-"""Relative tolerance of the steps of a clock if other columns also increase in every row."""
+"""Largest relative scatter of the steps of a clock, if other columns also increase in every row."""
 
 IS_RATE = 0.05
 """Largest residual of a motion after subtraction of the integrated velocity, relative to the motion.
 
-It allows for few rows and filtered velocities.
+This value allows for short logs and filtered velocities.
 """
 
 
@@ -53,9 +53,8 @@ Answers = dict[str, Answer]
 
 
 class Role(NamedTuple):
-    """Usual column names of a role, units in order of proposal, and the plausible range [SI] within one log.
-
-    The range is that of the sampling period, the command or the position.
+    """Usual column names of a role, units in order of proposal, and the plausible range [SI] of the sampling period, or
+    of the span of the command or position.
     """
 
     names: str
@@ -85,17 +84,17 @@ _WORDS = {
     "command": r"force|torque|kraft|moment|command|cmd|soll|tau|voltage|spannung|current|strom|effort|actions?",
     "position": r"position|pos|angle|winkel|weg|lage|place|displacement|encoder|velocity|speed|geschwindigkeit",
 }
-"""Words in column names that indicate a role. They are used if no full name does."""
+"""Words in column names that indicate a role. These words are used if no full name matches."""
 
 _QUESTIONS = {
-    "time": 'which column has the time stamps (if none has: kind = "sampled")?',
+    "time": 'which column has the time stamps (if there is none: kind = "sampled")?',
     "command": "which column has the total force or torque that the controller commands?",
     "position": "which column has the position that the controller measures?",
 }
 
 
 def stated_unit(sample: Sample, role: str, name: str) -> str:
-    """Return the unit that the file states for a column if it fits the role, otherwise an empty text."""
+    """Return the unit that the file states for a column if the unit fits the role, otherwise an empty text."""
     stated = sample.unit(name, role)[1].translate(str.maketrans("µμ", "uu"))
     unit = find_unit(stated)
     allowed = {*QUANTITIES[role].values(), *(SPEEDS if role == "position" else DRIVES if role == "command" else ())}
@@ -103,7 +102,8 @@ def stated_unit(sample: Sample, role: str, name: str) -> str:
 
 
 def plausible_units(sample: Sample, role: str, name: str, span: float) -> list[str]:
-    """Return the units in which the numbers of a column are plausible. A plausible stated unit is the only result."""
+    """Return the units in which the numbers of a column are plausible. If a stated unit is plausible, it is the only
+    result."""
     _, units, low, high = ROLES[role]
     fits = [unit for unit in units if low <= span * UNITS[unit].factor <= high]
     stated = stated_unit(sample, role, name)
@@ -114,7 +114,8 @@ def plausible_units(sample: Sample, role: str, name: str, span: float) -> list[s
 
 
 def likely_roles(sample: Sample) -> dict[str, str]:
-    """Return the likely column of each role by name. A clock must increase in every row."""
+    """Return the likely column of each role, chosen by name. Without a matching name, the clock is a column that
+    increases in every row."""
     likely, numbers = dict[str, str](), sample.numbers
     for role in ROLES:
         left = [name for name in numbers if name not in likely.values()]
@@ -131,24 +132,25 @@ def _named(sample: Sample, role: str, names: Iterable[str]) -> list[str]:
 
 
 def named_roles(sample: Sample) -> dict[str, Answer]:
-    """Return the column of each role without a wall law, identified by name or motion, otherwise the question."""
+    """Return the column of each role if no wall law is found, identified by name or by the motion, otherwise the
+    question."""
     numbers, times = sample.numbers, sample.contents.units
     rising = [name for name in numbers if (np.diff(numbers[name]) > 0).all()]
     time = _clock(sample, rising)
-    # A column that increases by equal steps is a counter. A column with a time unit by its type has time stamps.
+    # A column that increases by equal steps is a counter. A column whose data type is a time has time stamps.
     moving = [name for name in numbers if name != time.value and np.ptp(numbers[name]) > 0 and name not in times]
     others = [name for name in moving if name not in rising or np.ptp(np.diff(numbers[name])) > 0]
     others = [name for name in others if name not in _named(sample, "time", others)]
     constant = _constant_command(sample, str(time.value), [name for name in numbers if name not in moving])
     others = _without_rates(sample, str(time.value), others, 1 if constant else 2)
     if constant is not None and len(others) == 1:
-        evidence = f"{others[0]!r} is the only other column that changes, except for its rate"
+        evidence = f"{others[0]!r} is the only other column that changes, apart from its rate"
         return {"time": time, "command": constant, "position": Answer(others[0], evidence)}
     if constant is not None and not _named(sample, "command", [str(constant.value)]):
-        constant = None  # it is a condition, or one of several columns
+        constant = None  # without a matching name, it may be a condition, because several other columns change
     pair, evidence = _followed(sample, str(time.value), others), "the motion {1!r} follows the command {0!r}"
     if pair is None:
-        pair, evidence = _changed_first(sample, others), "{0!r} has few values and changes first, then {1!r} moves"
+        pair, evidence = _changed_first(sample, others), "{0!r} has few values and changes before {1!r} moves"
     if pair is not None:
         evidence = evidence.format(*pair)
         return {"time": time, "command": Answer(pair[0], evidence), "position": Answer(pair[1], evidence)}
@@ -156,7 +158,7 @@ def named_roles(sample: Sample) -> dict[str, Answer]:
 
 
 def _by_names(sample: Sample, time: Answer, others: Sequence[str], constant: Answer | None) -> dict[str, Answer]:
-    """Return command and position by stated units and names, or questions if several columns remain."""
+    """Return command and position, identified by stated units and names, or questions if several columns remain."""
     named: dict[str, list[str]] = {}
     for role, words in _WORDS.items():
         by_unit = [name for name in others if _has_unit_of(sample, role, name)]
@@ -190,7 +192,7 @@ def _by_names(sample: Sample, time: Answer, others: Sequence[str], constant: Ans
 
 
 def _has_word(title: str, words: str) -> bool:
-    """Return whether a heading contains one of the words, and no word for a switch or a limit."""
+    """Return True if a heading contains one of the words, and no word for a switch or a limit."""
     return all(
         (re.search(rf"(?<![a-z])({each})(?![a-z])", title) is not None) == wanted
         for each, wanted in ((words, True), (r"enabled?|limits?|modes?|status|flags?|supply", False))
@@ -202,11 +204,10 @@ def _is_speed(sample: Sample, name: str) -> bool:
 
 
 def _has_unit_of(sample: Sample, role: str, name: str) -> bool:
-    """Return whether the file states a unit of a role outside the column name.
+    """Return True if the file states a unit of a role outside the column name. For a position, velocity units are
+    ignored.
 
-    For a position, velocity units do not count.
-
-    A suffix after an underscore may be part of the name, such as the V of a supply voltage.
+    A suffix after an underscore is ignored, because it may be part of the name, such as the V of a supply voltage.
     """
     unit = find_unit(stated_unit(sample, role, name))
     apart = sample.title(name).rstrip().endswith(("]", ")")) or name in sample.contents.hints
@@ -214,7 +215,8 @@ def _has_unit_of(sample: Sample, role: str, name: str) -> bool:
 
 
 def _constant_command(sample: Sample, time: str, still: Sequence[str]) -> Answer | None:
-    """Return a command that is constant from the first row, identified by its name or by other trials of the file."""
+    """Return a command that is constant from the first row on, identified by its name or by other trials of the
+    file."""
     constant = [name for name in still if name != time and sample.numbers[name][0] and not np.ptp(sample.numbers[name])]
     differing = [name for name in constant if len(set(values_of_trials(sample, name))) > 1]
     if len(differing) == 1:
@@ -226,17 +228,19 @@ def _constant_command(sample: Sample, time: str, still: Sequence[str]) -> Answer
 
 
 def values_of_trials(sample: Sample, name: str) -> list[float]:
-    """Return the value of a column in each trial of a file. The list is empty if it changes within a trial."""
+    """Return the value of a column in each trial of a file. The list is empty if the column changes within a trial."""
     columns = [trial.columns[name] for trial in sample.trials if name in trial.columns]
     changes = [column for column in columns if column.dtype.kind == "U" or np.ptp(column)]
     return [] if changes else [float(column[0]) for column in columns]
 
 
 def rate_of(sample: Sample, time: str, place: str) -> tuple[str, float] | None:
-    """Return the column that is the rate of another column, and the implied unit of time in seconds, otherwise None.
+    """Return the column that is the rate of another column, and the implied unit of time in seconds. Return None if
+    there is no rate.
 
-    A velocity is the change of its position per second. Therefore, the factor between its integral over the stamps and
-    the position is the unit of the stamps. A rate is returned only if this factor belongs to a known unit.
+    A velocity is the change of its position per second. Therefore, the factor between the integral of the velocity over
+    the stamps and the position is the unit of the stamps. A rate is returned only if this factor belongs to a known
+    unit.
     """
     numbers = sample.numbers
     for name in numbers:
@@ -273,7 +277,7 @@ def _without_rates(sample: Sample, time: str, names: list[str], fewest: int) -> 
 def _clock(sample: Sample, rising: Sequence[str]) -> Answer:
     """Return the time column.
 
-    It is the only column that increases in every row, or the most regular of consistent clocks.
+    This is the only column that increases in every row, or the most regular of several consistent clocks.
     """
     numbers = sample.numbers
     fitting = _named(sample, "time", numbers)
@@ -288,7 +292,9 @@ def _clock(sample: Sample, rising: Sequence[str]) -> Answer:
     paces = [float(np.median(np.diff(numbers[name]))) * factor for name, factor in zip(clocks, factors, strict=True)]
     if clocks and min(paces) > 0 and max(paces) <= (1 + SAME_PERIOD) * min(paces):
         regular = min(clocks, key=lambda name: uneven[name])
-        return Answer(regular, f"increases in every row, most regularly of {', '.join(clocks)}, which agree")
+        return Answer(
+            regular, f"increases in every row, and is the most regular of the consistent clocks {', '.join(clocks)}"
+        )
     regular = min(clocks, key=lambda name: uneven[name], default="")
     others = [uneven[name] for name in clocks if name != regular]
     if others and uneven[regular] <= REGULAR < min(others) / CLEARLY:
@@ -297,7 +303,7 @@ def _clock(sample: Sample, rising: Sequence[str]) -> Answer:
 
 
 def _role_question(role: str, names: Sequence[str]) -> Answer:
-    """Return the question of which column has a role, with the candidates."""
+    """Return the question about which column has a role, with the candidates."""
     candidates = list(dict.fromkeys(names))
     listing = f" Candidates: {', '.join(candidates[:MOST_TRIED])}." if len(candidates) > 1 else ""
     return Answer(candidates[0], question=f"{_QUESTIONS[role]}{listing}")
@@ -325,17 +331,17 @@ def _followed(sample: Sample, time: str, names: Sequence[str]) -> tuple[str, str
 
 
 def _changed_first(sample: Sample, names: Sequence[str]) -> tuple[str, str] | None:
-    """Return command and position if one of two columns has few values and changes before the other column moves."""
+    """Return command and position if one of two columns has few values and changes before the other one moves."""
     columns = [sample.numbers[name] for name in names]
     if len(columns) != 2 or len(columns[0]) != len(columns[1]):
         return None
     units = {sample.unit(name, "position")[1] for name in names}
     begins = [int(np.argmax(column != column[0])) for column in columns]
     values = [len(np.unique(column)) for column in columns]
-    if len(units) == 1 and units != {""}:  # a set-point has the same unit as its position
+    if len(units) == 1 and units != {""}:  # a set-point in the unit of the position is not a command
         return None
     for at, other in ((0, 1), (1, 0)):
-        # A noisy reading returns to its value before the device moves.
+        # A noisy reading may return to its previous value before the device moves.
         stays = (columns[at][begins[at] : begins[other] + 1] != columns[at][0]).all()
         if begins[at] < begins[other] and stays and values[at] <= values[other]:
             return names[at], names[other]
