@@ -1,7 +1,7 @@
 """Readers of log files. Each file format has a module, and one module converts columns to SI.
 
 A format module converts bytes to `FileColumns` (`pipeline.readers.file_columns`), and `pipeline.readers.mapping`
-converts these columns to logs. Native logs have a separate reader, which parses many files together.
+converts these columns to logs. A separate reader for native logs parses many files together.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pipeline.readers.log import Log, RawLog, check_samples, find_together
 __all__ = ["Log", "Outcome", "RawLog", "Reader", "check_samples", "find_together", "reader_of"]
 
 Outcome = tuple[Log, ...] | LogError
-"""The logs in a raw log, or the error with which it is refused."""
+"""The logs read from a raw log, or the error with which the raw log is refused."""
 
 Reader = Callable[[Profile, Sequence[RawLog]], list[Outcome]]
 """Function ``read(profile, raws)`` that returns one outcome for each raw log, in the same order."""

@@ -1,4 +1,4 @@
-"""Columns of a file by name, as read by a format module. Units and signs are not applied and nothing is guessed.
+"""Columns of a file by name, as read by a format module. Units and signs are not applied, and nothing is guessed.
 
 A format module has a function ``read(path, settings, contents)`` that adds the arrays of a file to a `FileColumns`.
 The method `frame` selects the columns that a profile names, and `mapping` converts them to logs.
@@ -24,20 +24,21 @@ LARGEST_LOG = 256 << 20
 """Largest size [byte] of a file that is read, compressed or not. A larger file is not a log."""
 
 MOST_VALUES = 1 << 26
-"""Largest number of values in a file. It corresponds to 10^7 rows of six columns. It is limited by the memory of a
-worker."""
+"""Largest number of values in a file. It corresponds to 10^7 rows of six columns, and is limited by the memory of a
+worker process."""
 
 SMALL_FILE = 64 << 20
-"""Unpacked size [byte] that is allowed for any file: 10^6 rows of eight columns.
-
-A constant column may be compressed by a factor of 1000 or more.
+"""Unpacked size [byte] that is allowed for any file, whatever its packed size: 10^6 rows of eight columns. A constant
+column may be compressed by a factor of 1000 or more.
 """
 
 EXPANSION = 30
-"""Largest ratio of unpacked to packed size of a larger file. Recorded samples are compressed by a factor of 1 to 20."""
+"""Largest ratio of the unpacked to the packed size, for files above this size. Recorded samples are compressed by a
+factor of 1 to 20."""
 
 LONGEST_HEADER = 1 << 16
-"""Number of bytes in which the column line is searched. A header has a few hundred. Other files may be huge."""
+"""Number of bytes at the start of a file in which the column line is searched for. A header has a few hundred bytes. A
+file without a column line may be huge, and is not searched to its end."""
 
 KEPT_ATTRIBUTES, LONGEST_ATTRIBUTE = 100, 10_000
 """Largest number of file attributes stored with each trial, and their largest length [characters].
@@ -46,7 +47,8 @@ A workspace dump may have thousands of attributes, and an attribute may contain 
 """
 
 LISTED_ELEMENTS, LISTED_NAMES = 64, 40
-"""Largest number of listed elements of a vector, and of names in a message. An image has more, a robot fewer."""
+"""Largest number of listed elements of a vector, and of names in a message. The vectors of a robot have fewer elements,
+and an image has more."""
 
 
 def allowed_bytes(size: int) -> int:
@@ -58,7 +60,8 @@ Scalar = str | float | int
 Array = NDArray[Any]
 
 ARRAY = 800
-"""Number of values that each array counts as, at least. A damaged file may declare millions of empty arrays."""
+"""Smallest number of values that is counted for an array, because a damaged file may declare millions of empty
+arrays."""
 
 
 @dataclass
@@ -85,7 +88,7 @@ class FileColumns:
         Units and descriptions. They are only displayed.
     units : dict of str to str
         Time units that the data type in the file determines, such as ns of a ROS stamp. A profile that contradicts them
-        is refused. Units in names, headers and attributes are not included, because they are only displayed.
+        is refused. Units in names, headers and attributes are not included here, because they are only displayed.
     attributes : dict of str to str, float or int
         Scalars and texts in the file, such as HDF5 attributes or lines "label: value". A profile may read conditions
         from them.
@@ -94,9 +97,9 @@ class FileColumns:
     warnings : tuple of str
         Irregularities that were accepted, such as an incomplete last row.
     row : int64, shape (rows,)
-        Position of each row in the file, counted from 1. It is empty while unknown.
+        Position of each row in the file, counted from 1. Empty as long as the positions are unknown.
     keys : dict of str to str
-        Keys that a profile needs for this file, as TOML.
+        Keys that a profile for this file needs, with their values as TOML.
     """
 
     name: str
@@ -133,7 +136,7 @@ class FileColumns:
         Raises
         ------
         LogError
-            If the file contains more arrays or values than a log has.
+            If the file contains more arrays or values than a log may have.
         """
         try:
             array = np.asarray(values() if callable(values) else values)
@@ -142,7 +145,7 @@ class FileColumns:
         except (LogError, MemoryError, OSError, TypeError, ValueError) as error:
             if self.wanted and self.wants(path) and not isinstance(error, TypeError | ValueError):
                 raise
-            large = "has more values than a file of this size may contain"
+            large = "contains more values than a file of this size may contain"
             self.refused[path] = f"{large if isinstance(error, MemoryError) else error}."
             return
         self.values += array.size + ARRAY
@@ -155,7 +158,7 @@ class FileColumns:
             self.units |= {name: unit} if unit else {}
 
     def claim(self, values: int) -> None:
-        """Refuse a file with more values than allowed, if possible before they are unpacked."""
+        """Refuse a file with more values than allowed, if possible before the values are unpacked."""
         if values > self.most:
             text = f"has more than {self.most} values"
             raise refusal("unpacks-too-large", self.name, text, "a log of one step response")
@@ -170,7 +173,7 @@ class FileColumns:
             self.attributes[key] = value[:LONGEST_ATTRIBUTE] if isinstance(value, str) else value
 
     def cut_row(self, text: str, row: int) -> None:
-        """Report that the last row is incomplete and omitted, and store its text."""
+        """Add a warning that the incomplete last row was omitted, and store its text."""
         self.note("cut_last_row", text)
         self.warnings += (f"the last row (line {row}) is incomplete and was omitted: {text[:200]!r}",)
 
@@ -202,12 +205,12 @@ class FileColumns:
         )
 
     def lacks(self) -> bool:
-        """Return whether a wanted column is missing although it is not listed as unreadable."""
+        """Return True if a wanted column is missing and not listed as unreadable."""
         refused = [key for key in self.wanted if any(_is_part(key, path) for path in self.refused)]
         return any(self.find(key) is None and key not in refused for key in self.wanted)
 
     def frame(self) -> Self:
-        """Return only the wanted columns under these names. By default, return all columns with several rows.
+        """Return only the wanted columns, under the wanted names. By default, return all columns with several rows.
 
         Raises
         ------
@@ -244,13 +247,13 @@ class FileColumns:
         nearest = f" Nearest: {', '.join(near)}." if near else ""
         stem = wanted.removeprefix("/").partition("[")[0]
         if elements := [name for name in known if name.removeprefix("/").startswith(f"{stem}[")]:
-            nearest = f" Name one element in columns.*.name: {elements[0]} to {elements[-1]}."
+            nearest = f" State one element in columns.*.name: {elements[0]} to {elements[-1]}."
         listing = ", ".join(known[:LISTED_NAMES]) + (", ..." if len(known) > LISTED_NAMES else "") or "none"
         text = f"no column {wanted!r}.{nearest} Columns of the file: {listing}.{self._reasons()}"
         raise refusal("column-missing", self.name, text)
 
     def _reasons(self) -> str:
-        """Return which parts of the file cannot be read, with the reason for the first part."""
+        """Return a text that lists the unreadable parts of the file, with the reason for the first part."""
         names = ", ".join(map(repr, list(self.refused)[:LISTED_NAMES]))
         return f" Not readable: {names}; {next(iter(self.refused.values()))}" if names else ""
 
@@ -260,7 +263,7 @@ _INSIDE = ("/", ".", "@")
 
 
 _ELEMENT = re.compile(r"\[\d+\]$")
-"""Element index of a matrix, if its elements are the columns of a trial."""
+"""Pattern of the element index of a matrix whose elements are the columns of a trial."""
 
 
 def groups_of(names: Collection[str], wanted: Collection[str]) -> list[str]:
@@ -282,18 +285,17 @@ def groups_of(names: Collection[str], wanted: Collection[str]) -> list[str]:
 
 
 def _ends(name: str) -> tuple[str, ...]:
-    """Return the possible endings of a full column name, for the name inside its group."""
+    """Return the possible endings of a full column name, given the name inside its group."""
     return (name,) if _ELEMENT.fullmatch(name) else tuple(f"{sign}{name}" for sign in _INSIDE[:2])
 
 
 _REFERENCE = re.compile(r"desired|target|ref|soll|set_?point|cmd|command|raw|filtered", re.IGNORECASE)
-"""Names of groups that are not trials, such as reference signals or a second recording of a motion."""
+"""Pattern of names of groups that are not trials, such as reference signals or a second recording of a motion."""
 
 
 def trial_groups(contents: FileColumns) -> list[str]:
-    """Return groups that seem to be trials, because they have the same columns with several rows each.
-
-    In addition, their names are numbered, their recording times differ, or a constant column differs between them.
+    """Return the groups that seem to be trials. They have the same columns with several rows each. In addition, their
+    names are numbered, their recording times differ, or a constant column differs between them.
 
     >>> names = ("run1.t", "run1.x", "run2.t", "run2.x", "setup.t")
     >>> trial_groups(FileColumns("a", columns=dict.fromkeys(names, np.zeros(9))))
@@ -325,7 +327,7 @@ def _leaves(contents: FileColumns, whole: bool) -> dict[str, list[str]]:
         at = max(name.rfind(sign) for sign in _INSIDE[:2]) if element is None else element.start()
         if at > 0 and len(values) > 2 and values.dtype.kind != "U" and (whole or element):
             leaves.setdefault(name[:at], []).append(name[at + (element is None) :])
-    # A matrix with a time column is a trial. A matrix without one is a vector signal.
+    # A matrix with a time column is a trial. A matrix without a time column is a vector signal.
     timed = (
         group for group, inside in leaves.items() if whole or any(_rises(contents.columns[group + e]) for e in inside)
     )
@@ -333,7 +335,7 @@ def _leaves(contents: FileColumns, whole: bool) -> dict[str, list[str]]:
 
 
 def _are_trials(contents: FileColumns, groups: Sequence[str], inside: Sequence[str]) -> bool:
-    """Return whether groups with the same columns are trials. They may also be devices recorded at the same time."""
+    """Return True if groups with the same columns are trials, and not devices recorded at the same time."""
     clocks_differ = []
     for name in inside:
         places = (f"{group}{end}" for group in groups for end in _ends(name))
@@ -356,9 +358,8 @@ def _is_part(column: str, path: str) -> bool:
 
 
 def _elements(path: str, array: Array, axis: int | None) -> Iterator[tuple[str, Array]]:
-    """Yield the columns of an array by name.
-
-    There is one for a vector of any orientation, or one for each matrix element.
+    """Yield the columns of an array by name: one column for a vector of any orientation, or one column for each matrix
+    element.
     """
     shape = array.shape
     if array.size == 0 or sum(length != 1 for i, length in enumerate(shape) if i != axis) <= (axis is None):

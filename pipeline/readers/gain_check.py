@@ -1,9 +1,9 @@
 """Check whether the command of a log follows the gains in its header.
 
-If it does not, the module finds the gains that it follows, and the line to correct. The wall law is u_k = F_0 - K (x_k
-- x_0) - B (x_k - x_{k-1})/(t_k - t_{k-1}) from the step on. Other gains are reported only if the wall law with these
-gains explains the command. With a velocity filter, a clipped or one-sided wall, or a coarse sensor, the question may
-remain open.
+If it does not, the gains that it does follow are found, with the line to correct. The wall law is u_k = F_0 - K (x_k
+- x_0) - B (x_k - x_{k-1})/(t_k - t_{k-1}) from the step on. Different gains are reported only if the wall law with
+these gains explains the command. With a velocity filter, a clipped or one-sided wall, or a coarse sensor, the check may
+be inconclusive.
 """
 
 from __future__ import annotations
@@ -19,31 +19,33 @@ from pipeline.readers.log import Log
 from pipeline.records.trials import Booleans, Floats
 
 EXACT = 0.02
-"""Largest unexplained share of the command at which each gain is identifiable separately.
+"""Largest unexplained share of the command for which the gains can be estimated individually.
 
 The residual due to a velocity filter or a coarse sensor is larger.
 """
 
 EXPLAINED = 0.02
-"""Largest residual with other gains, relative to the residual of the stated wall law.
+"""Largest residual of the wall law with the estimated gains, relative to the residual with the stated gains.
 
 A velocity filter shifts gains by a few percent and leaves a quarter of the residual.
 """
 
 NEARLY = 0.3
-"""The same limit if gains are wrong by a power of ten or a unit, and the velocity is filtered."""
+"""Largest unexplained share of the command for which a common wrong factor (a power of ten or a unit) is reported if
+the velocity is filtered."""
 
 FACTOR = 8.0
 """Smallest factor by which both K and B must be wrong to be reported, if the velocity is filtered.
 
-Units differ by at least 10, and a clipped one-sided wall looks like a wall with a quarter of its gains.
+The factor between two units is at least 10. A clipped one-sided wall looks like a wall with a quarter of its gains.
 """
 
 UNIT_TOLERANCE = 0.2
 """Relative tolerance of the factor between two units in a log with filtered velocity."""
 
 SURE = 6.0
-"""Smallest deviation of a gain, in standard errors, that counts. It is large because sensor noise is not white."""
+"""Smallest deviation of a gain that is reported, in standard errors. The threshold is high because sensor noise is not
+white."""
 
 TOLERANCE = 0.1
 """Smallest relative deviation of a gain that is reported, and tolerance between two factors that count as equal."""
@@ -52,34 +54,36 @@ SHIFTED_ROWS = 2.0
 """Largest offset between command and position of a log [rows]."""
 
 SHARE = 0.05
-"""Smallest share of the largest command that a gain must contribute so that it is estimated."""
+"""Smallest share of the largest command that the term of a gain must contribute for the gain to be estimated."""
 
 LIMIT_ROWS = 3
-"""Smallest number of rows at the largest or smallest command at which the command counts as clipped."""
+"""Smallest number of rows at the largest or smallest command for which the command counts as clipped."""
 
 LEAST_ROWS = 12
 
 PULSE_PARTS = (0.02, 0.05, 0.1, 0.2, 0.4)
-"""Fractions of a log at which the pulse of a hit may have ended."""
+"""Fractions of a log after which the pulse of a hit may be over. They are tried in turn."""
 
 MOST_EDGES = 4
-"""Largest number of jumps tried as the step. Noise and sensor resolution cause one or two large jumps before it."""
+"""Largest number of jumps tried as the step. Noise and sensor resolution cause one or two large jumps before the
+step."""
 
 STANDS_OUT, SMALL_JUMP = 8.0, 1e-6
-"""Factor by which the jump of a step exceeds all earlier jumps, which are noise and quantization; and size relative to
-the largest jump below which a jump is a rounding error."""
+"""Factor by which the jump of a step exceeds all earlier jumps, which are due to noise and quantization. Size of a
+rounding error, relative to the largest jump."""
 
 
 @dataclass(frozen=True)
 class FollowedGains:
-    """Gains [SI] that the command follows and that differ from the header, by name, and the values in the header."""
+    """Gains [SI] that the command follows and that differ from the header, keyed by name, and the values in the
+    header."""
 
     found: dict[str, float]
     stated: dict[str, float]
 
     @property
     def sentence(self) -> str:
-        """Differences of the gains, each with its factor."""
+        """Sentence with the gains that differ, each with its factor."""
         times = {
             name: f" (factor {factor:.4g})" if np.isfinite(factor) else "" for name, factor in self.factors.items()
         }
@@ -90,14 +94,14 @@ class FollowedGains:
 
     @property
     def factors(self) -> dict[str, float]:
-        """Ratio of each gain to the stated gain. It is infinite if the stated gain is 0."""
+        """Ratio of each gain to the stated gain. The ratio is infinite if the stated gain is 0."""
         return {name: found / self.stated[name] if self.stated[name] else np.inf for name, found in self.found.items()}
 
 
 def followed_gains(log: Log) -> FollowedGains | None:
     """Return the gains that the command follows if they differ from the stated gains.
 
-    The result is None if they agree or are not identifiable.
+    The result is None if the gains agree with the stated gains or are not identifiable.
     """
     header, command = log.header, log.command
     stated = {"stiffness": header.stiffness, "damping": header.damping, "step": header.step}
@@ -133,7 +137,7 @@ def followed_gains(log: Log) -> FollowedGains | None:
 
 
 def _followed_in_motion(log: Log, stated: dict[str, float]) -> FollowedGains | None:
-    """Return the differing gains that the command of a released or hit device follows, like `followed_gains`."""
+    """Return the same as `followed_gains` for the command of a released or hit device."""
     gains = (log.header.stiffness, log.header.damping)
     fitted = _free_fit(log.time, log.command, log.position) if any(gains) else None
     if fitted is None or not fitted[0].stiffness:
@@ -150,7 +154,7 @@ def _followed_in_motion(log: Log, stated: dict[str, float]) -> FollowedGains | N
 
 
 class WallGains(NamedTuple):
-    """Stiffness, damping and step that explain a command, in the units of its columns and in seconds.
+    """Stiffness, damping and step that explain a command, in the units of the columns and in seconds.
 
     A gain whose contribution is always small, compared with the largest command so far, is 0.
     """
@@ -163,8 +167,8 @@ class WallGains(NamedTuple):
 def wall_gains(time: Floats, command: Floats, position: Floats) -> WallGains | None:
     """Return the gains that a command follows, or None if no wall law explains it.
 
-    The motion may begin with a step of the force or a release, or with a hit (a force pulse). If no wall law explains
-    all rows, the gains are estimated from the rows after the pulse.
+    The motion may begin with a step of the force, with a release, or with a hit (a force pulse). If no wall law
+    explains all rows, the gains are estimated from the rows after the pulse.
 
     Parameters
     ----------
@@ -178,7 +182,8 @@ def wall_gains(time: Floats, command: Floats, position: Floats) -> WallGains | N
 
 
 def _free_fit(time: Floats, command: Floats, position: Floats) -> tuple[WallGains, Floats] | None:
-    """Return the wall law of a released or hit device and the standard errors of its gains, or None if none fits."""
+    """Return the wall law of a device after a step, a release or a hit, and the standard errors of its gains, or None
+    if no wall law fits."""
     if not _may_follow(time, command, position):
         return None
     peak = float(np.abs(command).max())
@@ -188,7 +193,7 @@ def _free_fit(time: Floats, command: Floats, position: Floats) -> tuple[WallGain
         rows = (time[behind], command[behind], position[behind])
         if not _may_follow(*rows) or float(np.abs(command[behind]).max()) < SHARE * peak:
             return None
-        # The displacement before these rows is a constant part of the command.
+        # The displacement before these rows adds a constant to the command.
         fitted = _fitted(_terms(*rows, 0), command[behind])
         if fitted is not None:
             return fitted[0]._replace(step=0.0), fitted[1]
@@ -203,7 +208,8 @@ def _may_follow(time: Floats, command: Floats, position: Floats) -> bool:
 
 
 def _fitted(terms: Floats, command: Floats) -> tuple[WallGains, Floats] | None:
-    """Return the wall law that explains a command, and the standard errors of its gains, or None if none does."""
+    """Return the wall law that explains a command, and the standard errors of its gains, or None if no wall law
+    does."""
     free = _free(command)
     if free.sum() < LEAST_ROWS:
         return None
@@ -218,11 +224,10 @@ def _fitted(terms: Floats, command: Floats) -> tuple[WallGains, Floats] | None:
 
 
 def _edges(command: Floats) -> list[int]:
-    """Return candidate rows of the step.
+    """Return candidate rows of the step: the largest jump, and the first jumps that are much larger than all earlier
+    jumps.
 
-    They are the largest jump, and the first jumps that are much larger than all earlier jumps.
-
-    Later jumps of the command at an unstable wall may exceed the step.
+    The largest jump alone is not enough, because later jumps of the command at an unstable wall may exceed the step.
     """
     jump = np.abs(command[1:] - command[:-1])
     largest = int(jump.argmax()) + 1
@@ -234,7 +239,7 @@ def _edges(command: Floats) -> list[int]:
 
 
 def _best_terms(time: Floats, command: Floats, position: Floats, declared: str | None = None) -> Floats:
-    """Return the terms of the wall law, shape (3, rows), with the step row that has the smallest residual."""
+    """Return the terms of the wall law, shape (3, rows), for the row of the step with the smallest residual."""
     edges = [int(declared)] if declared is not None else _edges(command)
     every = [_terms(time, command, position, edge) for edge in edges]
     return min(every, key=lambda terms: _fit(terms, command)[2]) if len(every) > 1 else every[0]
@@ -251,11 +256,11 @@ def _terms(time: Floats, command: Floats, position: Floats, edge: int) -> Floats
 
 def _size(values: Floats) -> float:
     """Return the root mean square."""
-    return float(np.hypot.reduce(values) / np.sqrt(len(values)))  # squares of damaged numbers may overflow
+    return float(np.hypot.reduce(values) / np.sqrt(len(values)))  # avoids overflow of the squares of damaged numbers
 
 
 def _free(command: Floats) -> Booleans:
-    """Return the rows in which the command is not clipped. Return no rows if they are less than half."""
+    """Return the rows in which the command is not clipped, or no rows if more than half are clipped."""
     free = np.ones(len(command), dtype=np.bool_)
     for limit in (command.max(), command.min()):
         at = command == limit
@@ -276,8 +281,8 @@ def _fit(terms: Floats, command: Floats) -> tuple[Floats, Floats, float]:
 
 
 def gain_mismatch(profile: Profile, log: Log) -> str | None:
-    """Return the gains that the command follows if they differ from the stated gains, and the line that corrects
-    them."""
+    """Return a sentence with the gains that the command follows, if they differ from the stated gains, and the line
+    that corrects the stated gains."""
     found = followed_gains(log)
     if found is None:
         return None
@@ -286,7 +291,7 @@ def gain_mismatch(profile: Profile, log: Log) -> str | None:
 
 
 def _native_remedy(found: FollowedGains, log: Log) -> str:
-    """Return the factor that converts a column to SI, or the header lines that agree with the command."""
+    """Return a remedy: the factor that converts a column to SI, or the header lines that agree with the command."""
     header = "; ".join(f"# {name}: {value:.4g}" for name, value in found.found.items())
     pace = float(np.median(np.diff(log.time))) / log.header.sampling_period_s
     column, factor = _column(found)
@@ -296,9 +301,8 @@ def _native_remedy(found: FollowedGains, log: Log) -> str:
 
 
 def _column(found: FollowedGains) -> tuple[str, float]:
-    """Return the column whose wrong unit explains all gains, and the factor of the unit.
-
-    The name is empty if none does.
+    """Return the column whose wrong unit explains all gains, and the factor of the unit. If there is no such column,
+    its name is empty.
     """
     factors = found.factors
     first = next(iter(factors.values()))
@@ -311,21 +315,22 @@ def _column(found: FollowedGains) -> tuple[str, float]:
 
 
 def _remedy(profile: Profile, found: FollowedGains) -> str:
-    """Return the lines of a profile with which header and command agree."""
+    """Return a remedy: the lines of a profile with which conditions and command agree."""
     column, factor = _column(found)
     lines = _lines(column, profile.column_sources()[column], factor) if column else []
     units = [f'{name} = "{unit}"' for name, times in found.factors.items() if (unit := _unit(profile, name, times))]
     if len(units) == len(found.factors):
         lines.append(f"[units] {', '.join(units)}")
     values = ", ".join(f"{name} {value:.4g}" for name, value in found.found.items())
-    whole = " or ".join(lines) or f"give {values} [SI], or correct the units and signs in the profile"
+    whole = " or ".join(lines) or f"state {values} [SI], or correct the units and signs in the profile"
     # If several gains differ together, the unit or the sign of a column is wrong.
     alone = _alone(profile, found) if len(found.found) == 1 else ""
     return f"{whole}.{ALONE} {alone}" if alone else whole
 
 
 ALONE = " If only this log is wrong:"
-"""Beginning of the part of a remedy that applies to a single log. Many faulty logs have a common cause."""
+"""Beginning of the part of a remedy that applies to a single log. It is omitted if many logs are faulty, because they
+have a common cause."""
 
 
 def common_remedy(cure: str) -> str:
@@ -334,7 +339,8 @@ def common_remedy(cure: str) -> str:
 
 
 def _alone(profile: Profile, found: FollowedGains) -> str:
-    """Return where a log states the contradicted value, with the correct value. Return "" if all logs share it."""
+    """Return the place where a log states the contradicted value, with the correct value, or "" if all logs share this
+    value."""
     by_file = {key for entry in profile.file for key in entry.given()}
     places = dict.fromkeys(by_file, "its row of the sheet, or [[file]]") | dict.fromkeys(
         profile.name_groups(), "its name"
@@ -361,7 +367,7 @@ def _lines(key: str, source: Source, factor: float) -> list[str]:
 
 
 def _unit(profile: Profile, name: str, factor: float) -> str | None:
-    """Return the unit in which a condition seems to be given, or None."""
+    """Return the unit in which a condition seems to be stated, or None."""
     stated = getattr(profile.units, name, None) or si_unit(quantity(name, profile.motion))
     unit = unit_between(stated, factor, UNIT_TOLERANCE)
-    return "N/mm" if unit == "kN/m" else unit  # both are the same unit; labs use this spelling
+    return "N/mm" if unit == "kN/m" else unit  # the same unit in the spelling that labs use

@@ -2,7 +2,7 @@
 
 A log comes from another computer. It may be truncated, corrupted, or larger than it looks. libhdf5 loops forever on
 some corrupted bytes, and the operating system kills the Arrow IPC reader on others (h5py 3.16, pyarrow 26.0). In these
-cases, no exception can be caught. A worker reads many files. If it crashes, only the current file is lost.
+cases, no exception can be caught. A worker reads many files. If the process crashes, only the current file is lost.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from pipeline.readers.formats import FORMATS
 
 COPIES, SLACK = 3, 32 << 20
 """Number of copies of the unpacked file that may be in memory (as read, as numbers, as columns), and additional memory
-for caches, buffers and the allocator of a library [byte]."""
+[byte] for caches, buffers and the allocator of a library."""
 
 CPU_SECONDS, CPU_SECONDS_PER_BYTE = 0.6, 4e-6
-"""Processor time [s] for any file, and for each byte.
+"""Limit of the processor time: a constant part [s], and a part for each byte [s].
 
-Libraries take 3e-9 s per byte, ten times that for compressed files, and other machines are six times slower. Messages
-and text objects are decoded one by one, which takes about 20 us for 60 bytes.
+Libraries take 3e-9 s per byte, and ten times as long for compressed files. Other machines may be six times slower.
+Messages and text objects are decoded one by one, which takes about 20 us for 60 bytes.
 """
 
 WALL_FACTOR = 30
-"""Longest waiting time as a multiple of the processor time, for busy machines."""
+"""Longest waiting time, as a multiple of the limit of the processor time, because the machine may be busy."""
 
 
 def read_file(
@@ -73,7 +73,7 @@ def read_here(name: str, files: dict[str, bytes], settings: Profile, wanted: tup
         contents = FileColumns(name, wanted, most)
         read(paths[0], settings, contents)
         if contents.lacks():
-            # The error message lists the columns of the file.
+            # Read all columns, so that the error message can list the columns of the file.
             contents = FileColumns(name, most=most)
             read(paths[0], settings, contents)
             contents.wanted = wanted
@@ -146,7 +146,7 @@ def reading(name: str, kind: str) -> Iterator[None]:
     Raises
     ------
     LogError
-        For every exception inside the block. A `LogError` is raised again with the file name in front.
+        For every exception inside the block. A `LogError` is raised again, preceded by the file name.
     """
     try:
         yield

@@ -20,17 +20,16 @@ from pipeline.records.native import OF_WALL, NativeHeader
 from pipeline.records.trials import Booleans, Floats, Integers
 
 GAP = 30.0
-"""Threshold above which a reading is an outlier.
-
-The distance of the reading from the centre of its log is compared with the largest smaller distance and with the range
-of these readings. An unstable loop that grows tenfold in each sample has a ratio of 10.
+"""Threshold above which a reading is an outlier. It is a ratio of distances from the median of the log: the distance of
+the reading is divided by the next smaller distance, or by the trimmed range of the readings if that is larger. An
+unstable loop that grows tenfold in each sample has a ratio of 10.
 """
 
 LARGEST = {"time": 1e12, "command": 1e7, "position": 1e5, "force": 1e7, "velocity": 1e6}
 """Largest magnitude of a reading [SI].
 
-Values above 100 km or 16,000 turns, 1,000 t and 1,000 km/s are codes for missing values (1e20, 3.4e38), or numbers in
-another unit. A single such cell would corrupt all results of a device.
+Larger values (above 100 km or 16,000 turns, 1,000 t, 1,000 km/s) are codes for missing values, such as 1e20 or 3.4e38,
+or numbers in a different unit. A single such cell would corrupt all results of a device.
 """
 
 LARGEST_CONDITION = 1e12
@@ -39,24 +38,25 @@ LARGEST_CONDITION = 1e12
 SMALLEST_CONDITION = 1e-30
 """Smallest nonzero stiffness, damping and step [SI].
 
-It is far below any real value, and its square does not underflow.
+This is far below any real value, and its square does not underflow.
 """
 
 PERIODS = (1e-9, 1e6)
 """Shortest and longest sampling period [s], which correspond to 1 GHz and ten days."""
 
-_LARGE = "If it means a missing value, declare it by `sentinels`. Otherwise, correct the unit or repair the row."
+_LARGE = (
+    "If this number marks a missing value, declare it by `sentinels`. Otherwise, correct the unit or repair the row."
+)
 
 OUTSIDE = 20
-"""Reciprocal of the fraction of readings (1/20) that are trimmed at either end before their range is computed.
-
-Thus a few outliers do not change the range.
+"""Reciprocal of the fraction of readings (1/20) that are trimmed at either end before the range is computed, so that a
+few outliers do not change the range.
 """
 
 LONGEST_PAUSE = 1e6
-"""Largest ratio of the longest time between two rows to the sampling period, and of the period to that time.
+"""Largest ratio of the longest time between two rows to the sampling period, and largest inverse of this ratio.
 
-A response at 1 kHz has no pause of minutes, and rows at 1 ms have no sampling period of minutes.
+A response sampled at 1 kHz has no pause of minutes, and rows at intervals of 1 ms have no sampling period of minutes.
 """
 
 
@@ -81,11 +81,11 @@ class Log:
     raw_time : float64 or int64, shape (rows,), optional
         Time stamps as in the file, or None if they equal ``time``.
     counts : mapping of str to int
-        Number of repaired rows by kind. Kinds are counter wraps, rows out of order, and others.
+        Number of repaired rows by kind. Kinds are for example counter wraps and rows out of order.
     warnings : tuple of str
         Irregularities that were accepted.
     label : str, optional
-        Name of the trial in its file, if the file has several.
+        Name of the trial in its file, if the file has several trials.
     noted : tuple of Finding
         Findings from reading: repairs of the samples, and other files with the same samples.
     """
@@ -111,7 +111,7 @@ class Log:
         return joined.hexdigest()
 
     def with_warning(self, header: NativeHeader, warning: str) -> Log:
-        """Return the log with another header that states the same conditions, and with an additional warning.
+        """Return the log with a different header that states the same conditions, and with an additional warning.
 
         Findings are kept.
         """
@@ -137,7 +137,7 @@ class Log:
 
 
 def find_together(logs: Sequence[Log]) -> None:
-    """Find the faults of many logs together, and store them in each log.
+    """Find the faults of many logs together, and store the faults in each log.
 
     Parameters
     ----------
@@ -212,7 +212,10 @@ def check_samples(
             raise refused("out-of-range", at, f"{name} is {values[at]:.6g}", expected, _LARGE)
         scale = {"position": travel, "velocity": 0.0}.get(name)
         if scale is not None and (off := stray(values, scale)) is not None:
-            found = f"{name} is {values[off]:.6g}, the others are about {np.median(values):.6g}: no motion has such "
+            found = (
+                f"{name} is {values[off]:.6g}, but the other readings are about {np.median(values):.6g}: no motion has "
+                "such "
+            )
             raise refused("out-of-range", off, f"{found}a gap")
     steps, period = time[1:] - time[:-1], header.sampling_period_s
     at = int(np.argmin(steps > 0)) + 1
@@ -222,7 +225,7 @@ def check_samples(
     at = int(np.argmax(steps)) + 1
     if not period / LONGEST_PAUSE <= steps[at - 1] <= period * LONGEST_PAUSE:
         found = f"time is {time[at]:.9g} s after {time[at - 1]:.9g} s, but sampling_period_s is {period:.9g} s"
-        raise refused("time-wrong", at, f"{found}: these are incompatible")
+        raise refused("time-wrong", at, f"{found}. The two are incompatible")
     if not PERIODS[0] <= header.sampling_period_s <= PERIODS[1]:
         found, expected = f"sampling_period_s is {header.sampling_period_s:.6g}", "{:g} to {:g} s".format(*PERIODS)
         raise refusal("out-of-range", "", found, expected, "Correct its number or unit.")

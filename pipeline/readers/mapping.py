@@ -1,7 +1,7 @@
 """Convert the columns of a foreign log to logs in SI units, with their trials, windows, step and conditions.
 
-The order of operations is rows of a trial, missing cells, stamps to seconds, order of time, duplicate stamps, windows.
-Nothing is interpolated.
+The order of operations is: rows of a trial, missing cells, conversion of stamps to seconds, order of time, duplicate
+stamps, windows. Nothing is interpolated.
 """
 
 from __future__ import annotations
@@ -48,22 +48,22 @@ from pipeline.records.native import OF_WALL, NativeHeader, parse_header
 from pipeline.records.trials import Floats, Integers
 
 Part = tuple[FileEntry | None, StepEntry | None]
-"""Entries of a profile for a file, and for a step in this file."""
+"""Entries of a profile for a file and for a step in this file, if any."""
 
 WINDOW_TOLERANCE = 1e-6
 """Tolerance, in sampling periods, for a stamp outside a window or before the declared time of the step.
 
-Due to rounding, 3 x 0.1 s exceeds 0.3 s, and 501 x 1e-6 s is less than 0.000501 s.
+For example, rounding makes 3 x 0.1 s exceed 0.3 s, and 501 x 1e-6 s less than 0.000501 s.
 """
 
 MOST_STEPS = 24
-"""Largest number of changes of the command that count as separate steps. Random sequences have hundreds."""
+"""Largest number of changes of a command that is split into steps. Random sequences have hundreds of changes."""
 
 SHORTEST_STEP = 12
 """Smallest number of rows between two changes of the command for a usable step response."""
 
 LONGEST_STEP = 1.5
-"""Threshold for the time between rows, in sampling periods. Above it, a row is missing. The velocity in such a gap is
+"""Largest time between two rows, in sampling periods, without a missing row. The velocity in a longer gap is
 unknown."""
 
 
@@ -79,7 +79,7 @@ def read(profile: Profile, raws: Sequence[RawLog]) -> list[tuple[Log, ...] | Log
     Returns
     -------
     list of tuple of Log, or LogError
-        In the same order. If a trial is refused, its file is refused.
+        Outcomes in the order of ``raws``. If a trial is refused, its whole file is refused.
     """
     outcomes: list[tuple[Log, ...] | LogError] = []
     for raw in raws:
@@ -94,7 +94,7 @@ def read(profile: Profile, raws: Sequence[RawLog]) -> list[tuple[Log, ...] | Log
 
 
 def _logs_of_file(profile: Profile, raw: RawLog) -> list[Log]:
-    """Return the logs of a file. If its groups are trials, there is a log for each group.
+    """Return the logs of a file: one log for each group if the groups are trials.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def read_frames(profile: Profile, raw: RawLog) -> list[FileColumns]:
     """
     for name, data in zip(raw.names, raw.data, strict=False):
         refuse_other_kind(name, profile.format, data)
-    # Without a partner, several files belong to a split bag.
+    # Without a partner, several files are the parts of a split bag.
     pairs = [(raw.names, raw.data)]
     if profile.partner is not None:
         pairs = [((name,), (data,)) for name, data in zip(raw.names, raw.data, strict=False)]
@@ -179,7 +179,7 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[FileColumns
     Raises
     ------
     LogError
-        If the file contradicts the profile. The message has the row, and the line of the profile that would help.
+        If the file contradicts the profile. The message states the row, and the line of the profile that would help.
     """
     frame, name = frames[0], names[0]
     for other, other_name in zip(frames[1:], names[1:], strict=False):
@@ -194,7 +194,7 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[FileColumns
     logs = []
     for label, index in _trials(profile, name, frame):
         where = name if label is None else f"{name}, trial {label!r}"
-        # Conditions that differ between steps are required for each step.
+        # If the profile lists steps, the conditions of the wall are required for each step, not for the file.
         required = ("sampling_period_s",) if profile.steps else REQUIRED_CONDITIONS
         given = conditions_of(profile, (name, where), frame, index, (entry, None), required)
         period = float(given["sampling_period_s"])
@@ -214,12 +214,12 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[FileColumns
 
 
 def _steps_of(log: Log) -> list[Log]:
-    """Split a log into its steps if the command is constant between a few changes and there is no wall."""
+    """Split a log without a wall into its steps, if the command is constant between a few changes."""
     header, changes = log.header, changes_of(log.command)
     if header.stiffness or header.damping or (header.step and len(changes) < 2):
         return [log]
     if not is_staircase(log.command):
-        text = f"the command changes {len(changes)} times; the log is kept undivided, for `pipeline identify`"
+        text = f"the command changes {len(changes)} times, so the log is not split into steps; use `pipeline identify`"
         return [replace(log, warnings=(*log.warnings, text))]
     return _parts_of(log)
 
@@ -230,15 +230,15 @@ def changes_of(command: Floats) -> Integers:
 
 
 def is_staircase(command: Floats) -> bool:
-    """Return whether a command is constant between a few changes, each time long enough for a visible response."""
+    """Return True if a command is constant between a few changes, each time long enough for a visible response."""
     changes = changes_of(command)
     return 0 < len(changes) <= MOST_STEPS and min(np.diff([*changes, len(command)])) >= SHORTEST_STEP
 
 
 def _parts_of(log: Log) -> list[Log]:
-    """Return the part of a log around each change of the command, each with its step.
+    """Return a log for each change of the command, with this change as its step.
 
-    A part begins at the previous change and ends at the next change.
+    This log begins at the previous change and ends at the next change.
     """
     header, command, changes = log.header, log.command, changes_of(log.command)
     ends = [0, *changes.tolist(), len(command)]
@@ -254,7 +254,7 @@ def _parts_of(log: Log) -> list[Log]:
 
 
 def _trials(profile: Profile, name: str, frame: FileColumns) -> Iterator[tuple[str | None, Integers]]:
-    """Yield label and rows of each trial, in the order in which the trials begin."""
+    """Yield the label and the rows of each trial, in the order in which the trials begin."""
     if profile.trial_column is None:
         yield None, np.arange(len(frame))
         return
@@ -262,7 +262,7 @@ def _trials(profile: Profile, name: str, frame: FileColumns) -> Iterator[tuple[s
     blank = np.isnan(values) if values.dtype.kind == "f" else np.char.strip(values.astype(np.str_)) == ""
     if blank.any():
         found, row = f"column {profile.trial_column!r} (trial_column) is blank", int(frame.row[int(np.argmax(blank))])
-        raise refusal("no-value", name, found, "the label of the trial in each row", row=row)
+        raise refusal("no-value", name, found, "a label of the trial in each row", row=row)
     labels, first, which = np.unique(values, return_index=True, return_inverse=True)
     for at in np.argsort(first):
         label = labels[at].item()
@@ -318,15 +318,14 @@ def _log(
 
 
 def _integral(where: str, rule: str, table: Table, velocity: Floats, period: float) -> Floats:
-    """Return the position [m, rad] as the integral of a velocity by the rule of the profile.
-
-    It is 0 in the first row.
+    """Return the position [m, rad] as the integral of a velocity by the rule of the profile. The position is 0 in the
+    first row.
     """
     steps = np.diff(table["time"])
     if (lost := steps > LONGEST_STEP * period).any():
         at = int(np.argmax(lost)) + 1
         found = f"rows are missing before {table['time'][at]:.9g} s, so that the integral of the velocity is unknown"
-        cure = "Exclude them by a window, or omit the log."
+        cure = "Exclude these rows by a window, or omit the log."
         raise refusal("time-wrong", where, found, cure=cure, row=int(table["row"][at]))
     mean = velocity[1:] if rule == "difference" else 0.5 * (velocity[1:] + velocity[:-1])
     return np.concatenate([[0.0], np.cumsum(mean * steps)])
@@ -347,7 +346,7 @@ def _inside(window: Window, table: Table, period: float) -> Table:
 
 
 def _step_row(where: str, step: StepTime, table: Table, period: float) -> int | None:
-    """Return the declared row of the step among the stored rows, or None if it must be found in the command."""
+    """Return the declared row of the step among the stored rows, or None if the step must be found in the command."""
     time, number, slack = table["time"], table["number"], WINDOW_TOLERANCE * period
     if step.step_at is not None or not step.declared:
         return 0 if step.step_at == "first row" else None
@@ -358,12 +357,14 @@ def _step_row(where: str, step: StepTime, table: Table, period: float) -> int | 
         found, text = np.flatnonzero((time >= at - slack) & (time[0] - slack <= at)), f"step_time_s = {at:g}"
     if not len(found):
         text += f" is not among the samples, {_span(time)} rows {number[0]} to {number[-1]} counted from 0"
-        raise refusal("profile-wrong", where, text, cure="Correct it, or the window.", row=int(table["row"][0]))
+        raise refusal(
+            "profile-wrong", where, text, cure="Correct the declared step or the window.", row=int(table["row"][0])
+        )
     return int(found[0])
 
 
 def _extra(profile: Profile, frame: FileColumns, step_row: int | None) -> dict[str, str]:
-    """Return the additional texts of a trial, which are the declared step, the origin of columns, attributes, and
+    """Return the additional texts of a trial: the declared step, the origin of the columns, attributes, and
     warnings."""
     extra = {} if step_row is None else {"step_row": str(step_row)}
     for key, source in profile.column_sources().items():
@@ -395,10 +396,10 @@ def entry_of(profile: Profile, name: str) -> FileEntry | None:
 
 
 def statements(profile: Profile, name: str, part: Part) -> dict[str, tuple[str, Any]]:
-    """Return the profile key that gives each condition of a trial, and its value, or None if the file contains the
+    """Return the profile key that determines each condition of a trial, and the value, or None if the file contains the
     value.
 
-    The most specific key has priority. The order is step, file, columns, attributes, file name, constants.
+    The most specific key has priority, in this order: step, file, columns, attributes, file name, constants.
 
     Raises
     ------
@@ -442,7 +443,7 @@ def conditions_of(
         File name, and the name with the trial for messages.
     frame : FileColumns
     rows : int64
-        Rows of the trial, for conditions that a column gives.
+        Rows of the trial, for conditions stated in a column.
     part : FileEntry or None, StepEntry or None
         Entries of the profile for the file and for the step.
     required : sequence of str
@@ -462,15 +463,18 @@ def conditions_of(
         if inside and key in columns:
             value = _of_column(where, frame, rows, key, columns[key])
         elif inside and (value := frame.attributes.get(attributes[key])) is None:
-            found = f"has no attribute {attributes[key]!r} for the {key}; found {sorted(frame.attributes)[:40]}"
+            found = (
+                f"has no attribute {attributes[key]!r} for the {key}; its attributes are "
+                f"{sorted(frame.attributes)[:40]}"
+            )
             raise refusal("condition-missing", where, found)
         given[key] = _in_si(profile, where, key, value, inside)
-    # If other files of the profile have walls, a file without conditions may also have a wall.
+    # A file without conditions has no wall, unless the profile states walls: then this file may also have a wall.
     if given.keys().isdisjoint(OF_WALL) and profile.conditions().isdisjoint(OF_WALL):
         given |= dict.fromkeys(OF_WALL, 0.0)
     if missing := next((key for key in required if key not in given), None):
         line = f'[[file]]\nmatch = "{name}"\n{missing} = <value>'
-        found = f"profile {profile.name} does not give the {missing} of this file"
+        found = f"profile {profile.name} does not state the {missing} of this file"
         if profile.file and not profile.entries_for(name):
             found += ", and no [[file]] entry or row of its sheet names it"
         raise refusal("condition-missing", where, found, line=line)
@@ -480,7 +484,7 @@ def conditions_of(
 def header_of(profile: Profile, where: str, given: Mapping[str, Any], extra: dict[str, str]) -> NativeHeader:
     """Return the conditions as a header.
 
-    They are parsed as lines of a native log, so that the conditions of every format pass the same checks.
+    The conditions are parsed as lines of a native log, so that the conditions of every format pass the same checks.
 
     Raises
     ------
@@ -492,7 +496,7 @@ def header_of(profile: Profile, where: str, given: Mapping[str, Any], extra: dic
         header = parse_header(lines)
     except LogError as error:
         reason = f"{where}: with the conditions of profile {profile.name}, {error.reason}"
-        # The row belongs to the lines made here, which do not exist in the file.
+        # The row of this error is omitted, because it counts lines that were made here and do not exist in the file.
         raise LogError(reason, code=error.code) from error
     if (header.device, header.experiment) != (str(given["device"]), str(given["experiment"])):
         found = f"device {given['device']!r} or experiment {given['experiment']!r} has a part in brackets"
@@ -503,11 +507,11 @@ def header_of(profile: Profile, where: str, given: Mapping[str, Any], extra: dic
 def _of_column(where: str, frame: FileColumns, rows: Integers, key: str, column: str) -> Scalar:
     values = frame.columns[column][rows]
     if not len(values):
-        raise refusal("condition-missing", where, f"column {column!r}, which gives the {key}, has no rows")
+        raise refusal("condition-missing", where, f"column {column!r}, which states the {key}, has no rows")
     other = values != values[0]
     if other.any():
         at = int(np.argmax(other))
-        found = f"column {column!r} gives the {key} and changes from {values[0]} to {values[at]}"
+        found = f"column {column!r} states the {key}, but changes from {values[0]} to {values[at]}"
         raise refusal("condition-wrong", where, found, "one value for a trial", row=int(frame.row[rows[at]]))
     value: Scalar = values[0].item()
     return value
@@ -516,10 +520,10 @@ def _of_column(where: str, frame: FileColumns, rows: Integers, key: str, column:
 def _in_si(profile: Profile, where: str, key: str, value: Scalar, inside: bool = False) -> Scalar:
     """Return a condition in SI. A unit after the value in the file has priority.
 
-    ``inside`` means that the value is in the file. With a decimal comma, a point may then separate thousands.
+    ``inside`` is True if the value is in the file. With a decimal comma, a point may then separate thousands.
     """
     if key not in CONDITION_QUANTITIES:
-        # 1.0 in a column of floats means the experiment "1".
+        # A value of 1.0 in a column of floats is the experiment "1".
         return int(value) if isinstance(value, float) and value.is_integer() else value
     factor = profile.condition_factor(key)
     if not isinstance(value, str):

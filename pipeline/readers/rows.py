@@ -1,8 +1,7 @@
-"""Read the rows of a trial in a foreign file as the profile describes them.
+"""Read the rows of a trial in a foreign file as described by the profile: numbers, missing cells, time in seconds, and
+order.
 
-The profile determines numbers, missing cells, time in seconds, and order.
-
-Nothing is interpolated. Rows are omitted only if the profile requests it, and omitted rows are counted by kind.
+Nothing is interpolated. Rows are omitted only if the profile requests this, and omitted rows are counted by kind.
 """
 
 from __future__ import annotations
@@ -28,10 +27,10 @@ Single precision rounds by 6e-8. The next sensor reading is farther away (1.5e-5
 """
 
 DATE_S = 2.0**28
-"""Threshold [s] (8.5 years) above which a stamp is a date.
+"""Threshold [s] (8.5 years) above which a stamp is treated as a date.
 
-No machine runs that long, and the usual origins (1904, 1970, 1980, 2000) are farther away. Below the threshold, seconds
-in double precision are accurate to 30 ns.
+No machine runs that long, and the usual origins of dates (1904, 1970, 1980, 2000) are longer ago. Below the threshold,
+seconds in double precision are accurate to 30 ns.
 """
 
 ROUNDING = 1e-3
@@ -45,7 +44,7 @@ _CLOCK = re.compile(r"\d:\d\d|\d-\d\d?-\d")
 
 _BACKWARDS = (
     'Add to [columns.time] kind = "counter" and wrap = <counts> if a counter restarts, or order = "sort" if rows are '
-    "out of order. Give trial_column or [[steps]] if several trials follow each other."
+    "out of order. If the file contains several trials in succession, set trial_column or [[steps]]."
 )
 _STANDS = (
     'Add to [columns.time] kind = "sampled" (one row per sampling period) if stamps are printed coarsely, or '
@@ -90,7 +89,7 @@ def rows_of(
     keep, counts = np.ones(len(index), dtype=np.bool_), dict[str, int]()
     homes = dict(zip(("source", "partner"), zip((where, *names[1:]), frames, strict=False), strict=False))
     for key, source in sources.items():
-        if source.in_file:  # otherwise rows are counted, or the profile states the value
+        if source.in_file:  # without a column, rows are counted or the profile states the value
             table[key], gaps[key] = _numbers(profile, *homes[source.file], index, key)
     for key, missing in gaps.items():
         if sources[key].blanks == "skip":
@@ -107,7 +106,8 @@ def rows_of(
     if time.in_file:
         if time.fraction is not None:
             table["fraction"] = homes[time.file][1].columns[time.fraction.name][index]
-        # A row without a time stamp cannot be used. Other omitted rows still provide the last valid value.
+        # Rows without a time stamp are removed first. Other rows are omitted later, because they still provide the last
+        # valid value.
         table, gaps = _taken(table, ~gaps["time"]), _taken(gaps, ~gaps["time"])
     counts |= add_seconds(time, table, period, place)
     order, counts["out_of_order"] = in_order(time, table, place)
@@ -156,13 +156,14 @@ def _no_number(
     cells = [str(value).strip() for value in values.tolist()]
     at = next((i for i, cell in enumerate(cells) if not _reads_as_number(cell, profile)), 0)
     cell, row, sign = cells[at], int(frame.row[index[at]]), profile.decimal_sign
-    found = f"{key} must be a number (column {source.key!r}, decimal sign {sign!r}), found {cell[:200]!r}"
+    found = f"{key} must be a number (column {source.key!r}, decimal sign {sign!r}), but the cell is {cell[:200]!r}"
     line, other = "", "," if sign == "." else "."
     if key == "time" and _CLOCK.search(cell):
         found, line = f"{found}: dates and times of day are not read", '[columns.time]\nkind = "sampled"'
     elif profile.format == "delimited" and other in cell:
         line = f'decimal = "{other}"'
-    # A cell with digits is a number in another notation, such as "1 234" or "5 N", and must not be lost.
+    # A cell with digits may be a number in a different notation, such as "1 234" or "5 N", and must not count as
+    # missing.
     elif profile.format == "delimited" and not any(sign.isdigit() for sign in cell):
         line = f"missing = [{json.dumps(cell[:40], ensure_ascii=False)}]"
     return refusal("not-a-number", where, found + _called(frame, row), row=row, line=line)
@@ -181,21 +182,21 @@ def _no_value(key: str, source: Source, place: str, frame: FileColumns, table: T
     found, row = table[key][at], int(table["row"][at])
     what = "is blank or not a number" if np.isnan(found) else f"is {found}, a sentinel"
     found = f"{key} has no value: column {source.key!r} {what}{_called(frame, row)}"
-    repeat = "" if key == "time" else ', or "hold" to repeat the value before'
+    repeat = "" if key == "time" else ', or "hold" to repeat the preceding value'
     line = f'[columns.{key}]\nblanks = "skip" # omits such rows{repeat}'
     return refusal("no-value", place, found, row=row, line=line)
 
 
 def _called(frame: FileColumns, row: int) -> str:
-    """Return the position of a row with the word for a row, such as "message", unless it is a line."""
+    """Return a text with the word for a row and its position, such as "message 5", or "" if the rows are lines."""
     return "" if frame.row_name == "line" else f" ({frame.row_name} {row})"
 
 
 def add_seconds(source: TimeSource, table: Table, period: float, place: str) -> dict[str, int]:
     """Convert stamps to seconds, keep the originals as ``raw_time``, and return the number of counter wraps.
 
-    Stamps relative to a date (`DATE_S`) are made relative to the earliest row. As floats they would have errors of up
-    to 0.12 us. Integers are converted without loss."""
+    Stamps that are dates (`DATE_S`) are made relative to the earliest row. As floats, dates would have errors of up to
+    0.12 us. Integers are converted without loss."""
     if not source.in_file:
         table["time"] = np.arange(len(table["row"])) * period
         return {}
@@ -231,7 +232,7 @@ def _whole(part: NDArray[Any], table: Table, place: str) -> Integers:
 def _unwrapped(raw: NDArray[Any], wrap: float, table: Table, place: str) -> tuple[NDArray[Any], int]:
     if (outside := (raw < 0) | (raw >= wrap)).any():
         at = int(np.argmax(outside))
-        expected = f"0 to {wrap:.17g}, after which it restarts"
+        expected = f"a number from 0 to {wrap:.17g}, because the counter restarts there"
         raise refusal("time-wrong", place, f"the counter is {raw[at]}", expected, row=int(table["row"][at]))
     # A step back by more than half the range is a wrap. A smaller step back is a row out of order.
     again = np.diff(raw, prepend=raw[:1]) < -wrap / 2
@@ -244,21 +245,23 @@ def _sampled(table: Table, period: float, place: str) -> Floats:
     stamps: Floats = table["time"]
     time = np.arange(len(stamps)) * np.float64(period)
     steps = np.abs(np.diff(stamps))
-    # A sample is late by less than one period. A coarse stamp that several samples share has an error of up to one unit
-    # of its last digit. If no stamp is shared, every step and every lost sample is visible.
+    # A sample may be late by less than one period. In addition, a coarse stamp that several samples share has an error
+    # of up to one unit of its last digit. If no stamp is shared, every lost sample is visible.
     coarse = (steps == 0).any() and (steps > 0).any()
     allowed = (steps[steps > 0].min() if coarse else 0.0) + period
     apart = np.abs(stamps - stamps[:1] - time) > allowed - ROUNDING * period
     if apart.any():
         at = int(np.argmax(apart))
-        found = f"the stamp is {stamps[at] - stamps[0]:.9g} s after the first stamp, its row implies {time[at]:.9g} s"
-        cure = 'Correct sampling_period_s, or use kind = "absolute": samples may be missing.'
+        found = (
+            f"the stamp is {stamps[at] - stamps[0]:.9g} s after the first stamp, but its row implies {time[at]:.9g} s"
+        )
+        cure = 'Correct sampling_period_s. If samples are missing, use kind = "absolute".'
         raise refusal("time-wrong", place, found, cure=cure, row=int(table["row"][at]))
     return time
 
 
 def in_order(source: TimeSource, table: Table, place: str) -> tuple[Integers, int]:
-    """Return the order of the rows by time, and the number of rows that follow a row with a later time."""
+    """Return the order of the rows by time, and the number of rows that come after a row with a later time."""
     time = table["time"]
     late = time < np.maximum.accumulate(time)
     if late.any() and source.order != "sort":

@@ -22,7 +22,7 @@ SPEEDS = frozenset(QUANTITIES["velocity"].values())
 """Quantities of columns whose integral is a position."""
 
 _BESIDE = {"position": SPEEDS, "command": frozenset(DRIVES)}
-"""Pairs of quantities that a column may have alternatively."""
+"""Further quantities that the column of a role may have."""
 
 
 _OF_ANOTHER = re.compile(r"[./](data|values?)(\[\d+\])*$", re.IGNORECASE)
@@ -47,17 +47,17 @@ class Sample(NamedTuple):
         return {key: np.asarray(v, np.float64) for key, v in columns if key and v.dtype.kind != "U" and len(v) > 1}
 
     def title(self, name: str) -> str:
-        """Return the heading of a column. It may come from a comment line."""
+        """Return the heading of a column, which may come from a comment line."""
         return self.layout.titles.get(name, name)
 
     def unit(self, name: str, role: str) -> tuple[str, str]:
         """Return the last part of a column name without its unit, and the unit that the file states for the column."""
         allowed = (*QUANTITIES[role].values(), *_BESIDE.get(role, ()))
         plain, unit = unit_in_heading(self.title(name), allowed)
-        # A unit line, or the answer to a question, replaces text in brackets that is not a known unit.
+        # Text in brackets that is not a known unit is replaced by the unit line, or by the answer to a question.
         known = unit if find_unit(unit) else ""
         unit_in_file = known or self.contents.units.get(name) or self.contents.hints.get(name) or unit
-        # A column named "data" takes the name of its parent.
+        # A column named "data" or "value" gets the name of its parent.
         plain = _OF_ANOTHER.sub("", plain) or plain
         return re.split(r"[./]", plain)[-1].strip().lower(), unit_in_file
 
@@ -67,7 +67,8 @@ SHORTEST_TRIAL = 10
 
 
 def _trial_column(contents: FileColumns) -> tuple[str, list[slice]] | None:
-    """Return the column that numbers the trials of a long table, and their rows. Time restarts in each trial."""
+    """Return the column that numbers the trials of a long table, and the rows of each trial. Time restarts in each
+    trial."""
     columns = contents.columns
     rows = len(next(iter(columns.values()), ()))
     if any(len(column) != rows for column in columns.values()) or rows < 2 * SHORTEST_TRIAL:
@@ -109,7 +110,7 @@ def open_sample(path: Path) -> Sample:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror}). Give a log.") from error
+        raise UsageError(f"{path}: cannot be read ({error.strerror}). Name a log file.") from error
     kind = format_of(path.name, unpacked(path.name, data))
     if kind == "native":
         raise ProfileError(f"{path} is a native log, which needs no profile: `pipeline ingest {path}` reads it.")
@@ -122,13 +123,13 @@ def open_sample(path: Path) -> Sample:
         whole = read_file(each, (path.name,), (data,)) if kind in ("json", "tdms") else contents
         if groups := trial_groups(whole):
             layout.keys["trials"] = "each group"
-            layout.evidence["trials"] = f"{len(groups)} groups of the same columns: {groups[0].strip('/')}, ..."
+            layout.evidence["trials"] = f"{len(groups)} groups have the same columns: {groups[0].strip('/')}, ..."
             trials = tuple(whole.of_group(group) for group in groups)
             contents = trials[0]
     if not trials and (found := _trial_column(contents)) is not None:
         name, blocks = found
         layout.keys["trial_column"] = name
-        layout.evidence["trial_column"] = f"time restarts where the column changes: {len(blocks)} trials"
+        layout.evidence["trial_column"] = f"time restarts where this column changes: {len(blocks)} trials"
         trials = tuple(_rows_of(contents, block) for block in blocks)
         contents = trials[0]
     sample = Sample(path.name, kind, layout, contents, trials)

@@ -38,7 +38,7 @@ from pipeline.records.native import OF_WALL
 Cell = str | float | None
 
 LARGEST_SHEET = 16 << 20
-"""Largest size of a sheet [byte]. It has 10^5 rows, more logs than a lab ever records."""
+"""Largest size of a sheet [byte]. It corresponds to 10^5 rows, which is more logs than a lab ever records."""
 
 LISTED_FILES = 5
 """Largest number of files listed in a sentence."""
@@ -89,7 +89,7 @@ def with_sheet(profile: Profile, logs: Collection[str]) -> tuple[Profile, list[s
     ProfileError
         If the sheet cannot be read, no column names the logs, two rows name the same log, or a cell is invalid.
     """
-    assert profile.sheet is not None, "the caller selects profiles with a sheet"
+    assert profile.sheet is not None, "the caller passes only profiles with a sheet"
     path = Path(profile.sheet.file)
     table = read_sheet(path)
     named = name_column(table, profile, logs)
@@ -110,7 +110,7 @@ def with_sheet(profile: Profile, logs: Collection[str]) -> tuple[Profile, list[s
 def _joined(own: Sequence[JsonObject], rows: Sequence[JsonObject]) -> list[JsonObject]:
     """Return entries of single files, as tables of a profile, joined with the rows of a sheet.
 
-    An entry overrides the row of its file.
+    An entry overrides the row of the sheet for the same file.
     """
     corrections = {entry["match"].lower(): entry for entry in own}
     joined = [row | corrections.pop(row["match"].lower(), {}) for row in rows]
@@ -140,7 +140,9 @@ def read_sheet(path: Path) -> SheetTable:
     """
     try:
         if path.stat().st_size > LARGEST_SHEET:
-            raise ProfileError(f"{path}: the sheet has more than {LARGEST_SHEET} bytes; expected one row per log.")
+            raise ProfileError(
+                f"{path}: the sheet has more than {LARGEST_SHEET} bytes, but one row per log is expected."
+            )
         data = path.read_bytes()
     except OSError as error:
         raise ProfileError(f"{path}: the sheet cannot be read ({error.strerror}).") from error
@@ -150,7 +152,9 @@ def read_sheet(path: Path) -> SheetTable:
         raise ProfileError(f"{path}: the sheet cannot be read: {error}") from error
     top = next((i for i, row in enumerate(lines) if sum(_is_name(cell) for cell in row) >= 2), None)
     if top is None:
-        raise ProfileError(f"{path}: the sheet has no line of column names; expected at least two columns.")
+        raise ProfileError(
+            f"{path}: the sheet has no line of column names. At least two columns with names are expected."
+        )
     names = tuple("" if cell is None else str(cell).strip() for cell in lines[top])
     rows = [row + (None,) * (len(names) - len(row)) for row in lines[top + 1 :]]
     while rows and not any(cell is not None for cell in rows[-1]):
@@ -158,7 +162,7 @@ def read_sheet(path: Path) -> SheetTable:
     doubled = next((name for name in names if name and names.count(name) > 1), None)
     if doubled or not rows:
         found = f"names {doubled!r} twice" if doubled else "has no rows below its names"
-        raise ProfileError(f"{path}: the sheet {found}; expected one column for each name, and one row per log.")
+        raise ProfileError(f"{path}: the sheet {found}. Expected one column for each name, and one row per log.")
     return SheetTable(names, tuple(row[: len(names)] for row in rows), top + 2)
 
 
@@ -222,14 +226,14 @@ def _cell(value: object) -> Cell:
 
 
 def _file_of(cell: Cell) -> str:
-    """Return the file name in a cell, without folders of any operating system. A number is returned as it was typed."""
+    """Return the file name in a cell, without folders of any operating system. A number is returned as typed."""
     if isinstance(cell, float) and cell.is_integer():
         cell = int(cell)
     return PureWindowsPath(str(cell).strip()).name if cell is not None else ""
 
 
 def _matches(text: str, names: dict[str, str]) -> str | None:
-    """Return the log that a cell names, with or without its extension, or None if there is none."""
+    """Return the log that a cell names, with or without its extension, or None if there is no such log."""
     return names.get(text.lower()) if text else None
 
 
@@ -272,7 +276,7 @@ def name_column(table: SheetTable, profile: Profile, logs: Collection[str]) -> s
 
 
 def mapped_columns(table: SheetTable, profile: Profile, named: str) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the unit of each condition, and the column of each condition.
+    """Return the unit and the column of each condition, as two mappings.
 
     Raises
     ------
@@ -285,7 +289,9 @@ def mapped_columns(table: SheetTable, profile: Profile, named: str) -> tuple[dic
     for text in sheet.columns:
         name, key, unit = split_mapping(text, table.names, sheet.file)
         if key in columns:
-            raise ProfileError(f"{sheet.file}: {columns[key]!r} and {name!r} are both the {key}; expected one.")
+            raise ProfileError(
+                f"{sheet.file}: columns {columns[key]!r} and {name!r} both state the {key}. Expected only one."
+            )
         columns[key] = name
         units |= {key: unit} if unit else {}
     for name in table.names:
@@ -305,19 +311,22 @@ def mapped_columns(table: SheetTable, profile: Profile, named: str) -> tuple[dic
     stated = profile.units.model_dump(exclude_defaults=True)
     for key, unit in units.items():
         if key in stated and find_unit(stated[key]) != find_unit(unit):
-            raise ProfileError(f"{sheet.file}: the {key} is in {unit}, but [units] has {stated[key]}. Correct one.")
+            raise ProfileError(
+                f"{sheet.file}: the {key} is in {unit}, but [units] has {stated[key]}. Correct one of them."
+            )
     bare = [key for key in OF_WALL if key in columns and key not in units | stated]
     for key in bare:
         if any(cell not in (None, 0.0, "0") for cell in table.column(columns[key])):
             raise ProfileError(
-                f"{sheet.file}: column {columns[key]!r} has no unit. Write it after the name, "
-                f'"{columns[key]} [N/mm]", or state it: [sheet] columns = ["{columns[key]}:{key}:N/mm"].'
+                f"{sheet.file}: column {columns[key]!r} has no unit. Write the unit after the name, "
+                f'"{columns[key]} [N/mm]", or state it in the profile: '
+                f'[sheet] columns = ["{columns[key]}:{key}:N/mm"].'
             )
     return units, columns
 
 
 def conditions_by_name(names: Sequence[str]) -> dict[str, str]:
-    """Return the columns that are identified as conditions by their names.
+    """Return the columns whose names identify them as conditions, keyed by condition.
 
     >>> conditions_by_name(["Datei", "K [N/mm]", "B", "note"])
     {'stiffness': 'K [N/mm]', 'damping': 'B'}
@@ -336,7 +345,7 @@ def _quantities(profile: Profile) -> list[str]:
 
 
 def split_mapping(text: str, names: Collection[str], file: str) -> tuple[str, str, str]:
-    """Return column, condition and unit of a mapping such as ``K:stiffness:N/mm``.
+    """Return the column, the condition and the unit of a mapping such as ``K:stiffness:N/mm``.
 
     Raises
     ------
@@ -366,7 +375,7 @@ def split_mapping(text: str, names: Collection[str], file: str) -> tuple[str, st
 def _entries(
     table: SheetTable, profile: Profile, named: str, columns: dict[str, str]
 ) -> tuple[list[FileEntry], dict[str, tuple[int, str]]]:
-    """Return an entry for each row that names a log, and the row number and text for each file."""
+    """Return an entry for each row that names a log, and the row number and the text of the cell for each file."""
     sheet = profile.sheet
     assert sheet is not None, "the profile must have a sheet"
     decimal = _decimal_sign(table, columns)
@@ -398,13 +407,13 @@ def _escaped(name: str) -> str:
 
 
 def _ending(profile: Profile) -> str:
-    """Return the file extension of the logs of a profile. It completes a name without extension."""
+    """Return the file extension of the logs of a profile, which is appended to names without an extension."""
     endings = (re.search(r"\.[^.*?\[\]]+(?:\.gz|\.zst)?$", pattern) for pattern in profile.files)
     return next((ending[0] for ending in endings if ending), ".*")
 
 
 def _decimal_sign(table: SheetTable, columns: dict[str, str]) -> str:
-    """Return the decimal sign of a sheet. It is a comma if a cell has a comma and no cell has a point."""
+    """Return the decimal sign of a sheet. The sign is a comma if a cell has a comma and no cell has a point."""
     cells = [cell for key, name in columns.items() if key in NUMBERS_IN_NAMES for cell in table.column(name)]
     texts = [cell for cell in cells if isinstance(cell, str)]
     return "," if any("," in text for text in texts) and not any("." in text for text in texts) else "."

@@ -1,9 +1,10 @@
-"""Table of file formats. Each row has the format's module, the first bytes that identify it, and its extra.
+"""Table of file formats. Each row has the module of a format, the first bytes that identify the format, and the extra
+to install.
 
 A module of this folder has ``read(path, settings, contents)``, which adds the arrays of the file at ``path`` to the
 `FileColumns`. ``settings`` is the profile. The function runs in a separate process with limited time and memory
-(`isolation`), and every exception that it raises means a damaged file. Native logs have a separate reader, which parses
-many files together.
+(`isolation`), and every exception that it raises means a damaged file. A separate reader for native logs parses many
+files together.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class FileFormat(NamedTuple):
     title : str
         Name of the format in messages.
     magic : tuple of bytes
-        First bytes of such files. Empty for text.
+        First bytes of files in this format. Empty for text.
     extra : str
         Extra of this package that installs the library. Empty if the library is always installed.
     library : str
@@ -81,11 +82,13 @@ FORMATS: dict[Format, FileFormat] = {
     "npz": FileFormat("archives", "a numpy archive", function="read_npz"),
     "sheet": FileFormat("archives", "a sheet (XLSX, ODS)", (), "sheets", "read_sheet", "python_calamine"),
 }
-"""Formats inside ZIP archives. All begin with the same bytes, but the names of their parts differ (`format_of`)."""
+"""Formats inside ZIP archives. These formats begin with the same bytes, but the names of the parts in the archive
+differ (`format_of`)."""
 
 
 def packed_kind(data: bytes) -> Format | None:
-    """Return the format of a ZIP archive from the names of its first and last parts, or None for other files."""
+    """Return the format of a ZIP archive from the names of its first and last parts, or None for a file of a different
+    kind."""
     probe = data[:_PROBE] + data[-_PROBE:]
     if re.search(rb"xl/work(book|sheets)|opendocument\.spreadsheet", probe):
         return "sheet"
@@ -104,7 +107,8 @@ def format_of(name: str, data: bytes) -> Format:
     for kind, form in FORMATS.items():
         if form.magic and data.startswith(form.magic):
             return kind
-    # A MATLAB 7.3 file may lack its text header. The first bytes of a compressed database do not show its content.
+    # The name is needed, because a MATLAB 7.3 file may lack its text header, and the first bytes of a compressed
+    # database do not show its content.
     if HDF5 in (data[512:520], data[1024:1032]):
         return "matlab" if name.lower().endswith(".mat") else "hdf5"
     if ".db3" in name.lower():
@@ -140,7 +144,7 @@ def refuse_other_kind(name: str, kind: Format, data: bytes) -> None:
         return
     what = next((what for begin, what in _OTHERS.items() if re.match(begin, probe, re.DOTALL | re.IGNORECASE)), "")
     if what:
-        cure = "Unpack it, or export the recorded samples as CSV, and ingest the result."
+        cure = "Unpack the file, or export the recorded samples as CSV, and ingest the result."
         raise refusal("unsupported", name, f"is {what}, although its name differs", f"a log of format {kind!r}", cure)
     if FORMATS[kind].magic and data.startswith(tuple(PACKED)):
         raise refusal("unsupported", name, "is compressed as a whole", cure=f"Unpack it: zstd -d {name}")

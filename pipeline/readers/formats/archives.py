@@ -1,6 +1,6 @@
 """Reader of numpy archives (``.npz``) and sheets (XLSX, ODS).
 
-Arrays of a numpy archive have their names. Columns of a sheet have the names in its first line. Arrays of Python
+Arrays of a numpy archive keep their names. Columns of a sheet have the names in its line of names. Arrays of Python
 objects are not read, because they could run code. A single number is an attribute.
 """
 
@@ -37,7 +37,7 @@ def read_sheet(path: Path, settings: Profile, contents: FileColumns) -> None:
         names = [str(cell).strip() for cell in rows[top]]
         units = rows[top + 1] if not any(isinstance(cell, float) for cell in rows[top + 1]) else []
         first = top + 1 + bool(units)
-        for row in rows[:top]:  # rows of labels above the table
+        for row in rows[:top]:  # these rows are labels above the table
             if len(row) > 1 and row[0] != "" and row[1] != "":
                 contents.note(str(row[0]).strip(" :"), row[1])
         contents.row_name = "row"
@@ -55,7 +55,7 @@ def _is_text(cell: object) -> bool:
 
 
 def _column(cells: list[Any]) -> Array:
-    """Return cells as numbers, with NaN for blank cells. If any cell is a text, return texts."""
+    """Return cells as numbers, with NaN for blank cells, or as texts if any cell is a text."""
     if any(map(_is_text, cells)):
         return np.array([str(cell) for cell in cells], np.str_)
     return np.array([np.nan if cell == "" else float(cell) for cell in cells])

@@ -1,7 +1,7 @@
 """Reader of Parquet and Feather (Arrow IPC) files.
 
-Fields of structs have dotted paths, elements of lists an index in brackets, counted from 0. Time stamps and durations
-are integers in nanoseconds. A null is NaN, or an empty text.
+Fields of structs have dotted paths. Elements of lists have an index in brackets, counted from 0. Time stamps and
+durations are integers in nanoseconds. A null is NaN, or an empty text.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ def read(path: Path, settings: Profile, contents: FileColumns) -> None:
             text = f"column {name!r} occurs {schema.names.count(name)} times in the file"
             cure = "Give the columns different names in the program that writes the file."
             raise refusal("header-missing", contents.name, text, "it once, since it is ambiguous", cure)
-    # The library crashes if memory runs out, and constant columns are compressed without limit.
+    # Check the size first: the library crashes if memory runs out, and constant columns are compressed without limit.
     contents.claim(footer.num_rows * len(chosen) if footer else 0)
     read_table = parquet.read_table if footer else feather.read_table
     table = read_table(path, columns=chosen, use_threads=False)
-    # A damaged file may point outside its buffers. Only this call checks it.
+    # The offsets of a damaged file may point outside its buffers. Only this call checks them.
     table.validate(full=True)
     for prefix, metadata in [("", schema.metadata), *((f"{field.name}@", field.metadata) for field in schema)]:
         for key, value in (metadata or {}).items():

@@ -38,7 +38,8 @@ class Nanoseconds(int):
 
 
 class _Topic(NamedTuple):
-    """Messages of a topic, with their type, numbers in the bag, times of reception [ns], and fields."""
+    """Messages of a topic, with their type, their numbers in the bag, their times of reception [ns], and their
+    fields."""
 
     kind: str
     number: list[int]
@@ -70,7 +71,7 @@ def read(path: Path, settings: Profile, contents: FileColumns) -> None:
 
 
 def _recorded(contents: FileColumns, paths: list[Path]) -> dict[str, _Topic]:
-    """Return the topics of a bag. Messages are only read for topics with wanted columns."""
+    """Return the topics of a bag. Messages are read only for topics with wanted columns."""
     topics: dict[str, _Topic] = {}
     try:
         with AnyReader(paths, default_typestore=get_typestore(Stores.LATEST)) as bag:
@@ -83,7 +84,8 @@ def _recorded(contents: FileColumns, paths: list[Path]) -> dict[str, _Topic]:
                 if connection.topic not in chosen:
                     continue
                 try:
-                    # A valid message does not begin with these bytes: the first two bytes of CDR give its encoding.
+                    # A valid message does not begin with these bytes, because its first two bytes state the CDR
+                    # encoding.
                     data = zstd.decompress(data) if data.startswith(_ZSTD) else data
                     message = bag.deserialize(data, connection.msgtype)
                 except (AnyReaderError, KeyError) as error:
@@ -136,7 +138,7 @@ def _join(contents: FileColumns, topics: dict[str, _Topic]) -> None:
 
 
 def _times(where: str, axis: str, name: str, topic: _Topic) -> Integers:
-    """Return the times of messages by stamp or by reception."""
+    """Return the stamps or the times of reception of messages."""
     if axis == RECEIVED:
         return np.array(topic.received, np.int64)
     stamps = [message["header"]["stamp"] for message in topic.messages if "header" in message]

@@ -22,7 +22,8 @@ from pipeline.readers.file_columns import LONGEST_ATTRIBUTE, Array, FileColumns,
 from pipeline.readers.formats import PACKED
 
 LONGEST_CHARACTER = 4
-"""Number of bytes of the longest character in UTF-8 and UTF-16. A truncated file lacks fewer bytes."""
+"""Number of bytes of the longest character in UTF-8 and UTF-16. A character at the end of a truncated file lacks fewer
+bytes."""
 
 _BLOCK = 1 << 22
 """Number of bytes that are unpacked at a time."""
@@ -30,11 +31,12 @@ _BLOCK = 1 << 22
 MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 _INTEGER = r"^[+-]?[0-9]{1,20}$"
 _LABEL_BEGINS = re.compile(r"\s*[^\W\d]")
-"""Pattern of a label. It begins with a letter, because "12:30" is a time of day."""
+"""Pattern of the beginning of a label. It is a letter, because "12:30" is a time of day."""
 
 
 PROBE_LINES = 400
-"""Number of inspected lines. A banner has a few dozen lines, and a hundred rows show the form of a table."""
+"""Number of inspected lines. A header block has a few dozen lines, and a hundred rows are enough to show the form of a
+table."""
 
 FEWEST_ROWS = 2
 """Smallest number of rows of a table."""
@@ -47,7 +49,7 @@ NUMERIC_SHARE = 0.5
 """Smallest share of numbers among the cells of a row of samples. Some columns may contain texts."""
 
 _GROUP_SIGNS = " \u00a0\u2009\u202f'\u2019"
-"""Thousands separators, which are blanks and apostrophes as in French and Swiss numbers."""
+"""Thousands separators: blanks and apostrophes, as in French and Swiss numbers."""
 
 _GROUPED_NUMBER = rf"[+-]?[0-9]{{1,3}}(?:[{_GROUP_SIGNS}][0-9]{{3}})+(?:[.,][0-9]*)?"
 _NUMBER = re.compile(
@@ -96,7 +98,8 @@ _DATE = re.compile(
     r"(?:(?P<y>\d{4})-(?P<m>\d\d)-(?P<d>\d\d)|(?P<D>\d\d)\.(?P<M>\d\d)\.(?P<Y>\d{4}))[T ]+"
     r"(?P<time>\d\d:\d\d:\d\d)(?:[.,](?P<rest>\d{1,9}))?(?P<zone>Z|[+-]\d\d:?\d\d)?"
 )
-"""Pattern of dates with a time of day, in ISO 8601 or German order. 03/04/2026 is ambiguous and not accepted."""
+"""Pattern of dates with a time of day, in ISO 8601 or German order. A date such as 03/04/2026 is ambiguous and not
+accepted."""
 
 
 def date_stamps(values: Array) -> Array | None:
@@ -120,7 +123,7 @@ def date_stamps(values: Array) -> Array | None:
         rests.append(int((match["rest"] or "0").ljust(9, "0")) - 60_000_000_000 * minutes)
     try:
         seconds = np.array(texts, "datetime64[s]").astype(np.int64)
-    except ValueError:  # the day does not exist
+    except ValueError:  # this day does not exist in the calendar
         return None
     stamps: Array = seconds * 1_000_000_000 + np.array(rests, np.int64)
     return stamps
@@ -168,11 +171,11 @@ def plain_text(layout: TextLayout, name: str, data: bytes) -> tuple[str, bool]:
             found = f"is not {codec.upper()} text ({error.reason}, byte {data[error.start]:#04x} at {error.start})"
             row = data.count(b"\n", 0, error.start) + 1
             raise refusal("encoding", name, found, row=row, line='encoding = "latin-1"') from error
-        # The recording ends inside a character. Its row is then also found to be incomplete.
+        # The recording ends inside a character. The row of this character is detected as incomplete later.
         text = data[: error.start].decode(codec)
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     end = len(text.rstrip(" \t\n"))
-    # Blank cells at the end of the last row are kept, blank lines below it are removed.
+    # Blank cells at the end of the last row are kept. Blank lines below this row are removed.
     last, line_end, _ = text[end:].partition("\n")
     return (text[:end] + last + "\n", bool(line_end)) if end else ("", True)
 
@@ -200,7 +203,7 @@ def _is_comment(layout: TextLayout, line: str) -> bool:
 
 
 def _take_label(layout: Profile, contents: FileColumns, line: str, row: int) -> bool:
-    """Store a line "label: value" as an attribute, and return whether the line has this form.
+    """Store a line "label: value" as an attribute. Return False if the line does not have this form.
 
     If a label is repeated, its last value is kept. The value of a condition must not change.
     """
@@ -210,7 +213,10 @@ def _take_label(layout: Profile, contents: FileColumns, line: str, row: int) -> 
         return False
     key = next((key for key, wanted in layout.attributes.items() if wanted == label), None)
     if key is not None and contents.attributes.get(label, value) != value:
-        found = f"the label {label!r}, which gives the {key}, is {contents.attributes[label]!r} and here {value!r}"
+        found = (
+            f"the label {label!r} states the {key} twice, with the different values {contents.attributes[label]!r} and "
+            f"{value!r}"
+        )
         raise refusal("condition-wrong", contents.name, found, "one value for a log", row=row)
     contents.note(label, value)
     return True
@@ -229,14 +235,14 @@ def _split(layout: TextLayout, contents: FileColumns, line: str, row: int) -> li
     try:
         return next(csv.reader([line], delimiter=layout.delimiter, strict=True))
     except csv.Error as error:
-        text = f"a quotation mark may be unclosed ({error})"
+        text = f"a quotation mark seems to be unclosed ({error})"
         raise refusal("row-length", contents.name, text, row=row) from error
 
 
 def _rows(
     layout: Profile, contents: FileColumns, lines: list[str], first: int, names: list[str], places: list[int]
 ) -> tuple[list[int], list[list[str]]]:
-    """Return the row numbers, and the cells of each column. An incomplete last row is omitted, and its text kept."""
+    """Return the row numbers, and the cells of each column. An incomplete last row is omitted, and its text is kept."""
     row, cells, width = list[int](), list[list[str]](), len(names)
     for number, line in enumerate(lines[first:], start=first + 1):
         if not line.strip(" \t") and layout.blank_lines == "refuse":
@@ -251,7 +257,7 @@ def _rows(
         elif row and number == len(lines) and len(found) < width:
             contents.cut_row(line, number)
         elif not _take_label(layout, contents, line, number):
-            commas = 'If these are decimal commas, write decimal = "," and another delimiter.'
+            commas = 'If these are decimal commas, write decimal = "," and a different delimiter.'
             cure = commas if layout.delimiter == "," and len(found) > width else ""
             text = f"expected {width} values, found {len(found)} ({line[:200]!r})"
             more = (len(found) == width + 1 and not found[-1].strip()) or (len(found) == width - 1 and not names[-1])
@@ -281,7 +287,7 @@ def _places(profile: Profile, contents: FileColumns, names: list[str], row: int)
 
 
 def _is_spoilt(values: Array, shorter: Array) -> bool:
-    """Return whether all cells of a column are numbers except the last cell, with none missing."""
+    """Return True if all cells of a column except the last cell are numbers, and none of them is missing."""
     if values.dtype.kind == "f":
         return bool(np.isnan(values[-1]) and not np.isnan(values[:-1]).any())
     return values.dtype.kind == "U" != shorter.dtype.kind
@@ -296,12 +302,12 @@ def _values(layout: TextLayout, cells: list[str]) -> Array:
         whole = pc.replace_substring_regex(number, f"[{_GROUP_SIGNS}]", "")
         number = pc.if_else(pc.match_substring_regex(number, f"^{_GROUPED_NUMBER}$"), whole, number)
     if layout.decimal == ",":
-        # A point may be a thousands separator.
+        # The point may be a thousands separator.
         number = pc.if_else(pc.match_substring(number, "."), "point", pc.replace_substring(number, ",", "."))
     if pc.all(pc.fill_null(pc.match_substring_regex(number, _INTEGER), False)).as_py():
         number, kinds = pc.utf8_ltrim(number, "+"), [pa.int64(), pa.uint64(), pa.float64()]
     for kind in kinds:
-        with suppress(pa.ArrowInvalid):  # the cells have another type
+        with suppress(pa.ArrowInvalid):  # the cells have a different type
             return np.asarray(pc.cast(number, kind).to_numpy(zero_copy_only=False))
     shown = pc.utf8_slice_codeunits(pc.if_else(blank, "", text), 0, LONGEST_ATTRIBUTE)
     return np.array(shown.to_pylist(), dtype=np.str_)
@@ -312,7 +318,7 @@ class Layout:
     """Layout of a text file that was inspected.
 
     ``keys``: layout keys of a profile. ``questions`` and ``evidence``: open questions and evidence, by key. ``titles``:
-    column names found in comment lines, with units in brackets, by the name in `FileColumns`.
+    column names found in comment lines, with units in brackets, keyed by the name in `FileColumns`.
     """
 
     keys: JsonObject = field(default_factory=dict)
@@ -342,7 +348,7 @@ def text_layout(name: str, data: bytes) -> Layout:
     cells = [_parted(lines[row], delimiter) for row in rows]
     above = lines[: rows[0]]
     named = _parted(above[-1], delimiter) if above else []
-    # A blank last column with a name, such as remarks, is a column.
+    # A blank last column with a name, such as a column of remarks, is kept.
     if delimiter != BLANKS and all(not row[-1] for row in cells) and not (len(named) == len(cells[0]) and named[-1]):
         keys["trailing_delimiter"] = True
         cells = [row[:-1] for row in cells]
@@ -359,11 +365,11 @@ def text_layout(name: str, data: bytes) -> Layout:
     outside = (*above[:skipped], *between)
     if found := [(line, match[2]) for line in outside if (match := _LABELLED.fullmatch(line.lstrip("#%/ ")))]:
         keys["labels"] = sign = Counter(sign for _, sign in found).most_common(1)[0][0]
-        # Labels in comment lines are read if the profile states the comment sign.
+        # Labels in comment lines are read only if the profile states the comment sign.
         marks = {mark[1] for line, of in found if of == sign and (mark := re.match(r"\s*([#%/]+)", line))}
         keys |= {"comment": marks.pop()} if len(marks) == 1 else {}
     if heads and (mark := keys.get("comment")) and any(line.lstrip().startswith(mark) for line in heads):
-        # Names in comment lines are not part of the table. Its columns are selected by position.
+        # Names in comment lines are not part of the table. The columns are therefore selected by position.
         keys.pop("unit_line", None)
         *units, names = ([cell.strip(mark + " ") for cell in _parted(line, delimiter)] for line in heads)
         behind = [f" [{unit.strip('[]() ')}]" if unit else "" for unit in units[0]] if units else [""] * len(names)
@@ -382,7 +388,8 @@ def _guessed(name: str, data: bytes, layout: Layout) -> str:
     except LogError as error:
         if "UTF-8" not in error.reason:
             raise
-    # Both have the same letters. Only cp1252 has characters such as the dash where latin-1 has control characters.
+    # The two encodings have the same letters. Only cp1252 has characters such as the dash where latin-1 has control
+    # characters.
     with suppress(LogError):
         text = plain_text(TextLayout(encoding="cp1252"), name, data)[0]
         layout.keys["encoding"] = "cp1252"
@@ -415,7 +422,8 @@ def _table(lines: list[str], name: str) -> tuple[str, list[int]]:
             if len(cells) > 1 and sum(map(_is_number, cells)) >= max(NUMERIC_SHARE * sum(map(bool, cells)), 2):
                 widths.setdefault(len(cells), []).append(number)
         rows = _block(max(widths.values(), key=len, default=[]))
-        # If several delimiters fit, take the delimiter with more rows. If they have equally many, take the earlier one.
+        # If several delimiters fit, the delimiter with the most rows is taken. Among those with equally many rows, the
+        # first is taken.
         if len(rows) > len(best[1]):
             best = delimiter, rows
     if len(best[1]) < FEWEST_ROWS:
@@ -423,7 +431,12 @@ def _table(lines: list[str], name: str) -> tuple[str, list[int]]:
         if alone >= FEWEST_ROWS:
             found = f"has one column of numbers ({alone} of the first {len(lines)} lines); a log needs the "
             found += "command, and the position or velocity, in each row"
-            raise refusal("column-missing", name, found, cure="Export them together, or describe them by [partner].")
+            raise refusal(
+                "column-missing",
+                name,
+                found,
+                cure="Export all columns together, or describe a second file by [partner].",
+            )
         found, expected = f"no table of numbers was found among the first {len(lines)} lines", "rows of equal length"
         raise refusal("header-missing", name, found, expected, "Export other formats as CSV.")
     return best
@@ -444,7 +457,8 @@ def _block(rows: list[int]) -> list[int]:
 
 
 def _decimal(cells: list[str], layout: Layout) -> None:
-    """Store the decimal sign in the layout. Add a question if no sign occurs or if it may be a thousands separator."""
+    """Store the decimal sign in the layout. Add a question if no sign occurs, or if the sign may be a thousands
+    separator."""
     numbers = [cell for cell in cells if _is_number(cell)]
     points, commas = [n for n in numbers if "." in n], [n for n in numbers if "," in n]
     seen = points[:1] + commas[:1]
@@ -462,6 +476,7 @@ def _is_head(line: str, width: int, keys: JsonObject) -> bool:
     cells = _parted(line, keys["delimiter"])
     if keys.get("trailing_delimiter") and cells and not cells[-1]:
         cells.pop()
-    # A comment may have as many blanks as the table has columns. In a label, the sign follows the first word.
+    # With blanks as delimiter, a comment may have as many words as the table has columns. A label is recognised by the
+    # sign after its first word.
     remark = keys["delimiter"] == BLANKS and _LABELLED.fullmatch(line)
     return len(cells) == width and any(cells) and not remark and not any(map(_is_number, cells))

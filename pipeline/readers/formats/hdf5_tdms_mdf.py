@@ -1,7 +1,7 @@
 """Read files from measuring systems, in the formats HDF5, TDMS (LabVIEW) and MDF (dSPACE, CANape and INCA).
 
 HDF5: columns are paths of datasets (``/arm/q``), fields of compound datasets (``/log.t``), and elements
-(``/arm/q[3]``). Values in other files are not read.
+(``/arm/q[3]``). Values stored in other files (external links) are not read.
 
 TDMS: columns are channels (``/group/channel``). ``@time`` is the time [s] from the waveform properties of the wanted
 channels, if they are equal: row times ``wf_increment`` plus ``wf_start_offset``. Stamps are integer nanoseconds since
@@ -50,7 +50,9 @@ def read_hdf5(path: Path, settings: Profile, contents: FileColumns) -> None:
         if item.shape is None:
             contents.refused[path] = "is empty."
         elif item.external or item.is_virtual:
-            contents.refused[path] = "has its values in other files, which are not opened. Export it with its values."
+            contents.refused[path] = (
+                "has its values in other files, which are not opened. Export this dataset together with its values."
+            )
         elif contents.wants(path) or item.size == 1:
             for part in item.dtype.names or ("",):
                 contents.add(f"{path}.{part}" if part else path, partial(values, item, part), _hint(item.attrs))
@@ -93,7 +95,7 @@ def read_tdms(path: Path, settings: Profile, contents: FileColumns) -> None:
         named = f"{list(_WAVEFORM)[differ]} " if differ else ""
         listing = ", ".join(f"{key!r}: {named}{each[differ]}" for key, each in list(waveforms.items())[:10])
         found = f"{TIME!r} needs one {listed(list(_WAVEFORM))} for all wanted channels, found {listing or 'none'}"
-        cure = "Record the channels in one task, or export a channel of times and name it in columns.time."
+        cure = "Record the channels in one task, or export a channel of times and state its name in columns.time."
         raise refusal("time-wrong", contents.name, found, cure=cure)
 
 
@@ -131,7 +133,7 @@ def _of_channel(channel: Any) -> Array:
     values = channel[:]
     if not hasattr(values, "second_fractions"):
         return np.asarray(values)
-    # A stamp has integer seconds and fractions of 2^-64 s. The upper half of the fractions resolves 0.23 ns.
+    # A stamp consists of integer seconds and a 64-bit fraction. The upper 32 bits of the fraction resolve 0.23 ns.
     upper = np.asarray(values.second_fractions, dtype=np.uint64) >> np.uint64(32)
     fraction = (upper * np.uint64(10**9) + np.uint64(1 << 31)) >> np.uint64(32)
     return (np.asarray(values.seconds, dtype=np.int64) - _EPOCH_S) * 10**9 + fraction.astype(np.int64)
@@ -146,6 +148,6 @@ def _note(contents: FileColumns, prefix: str, attributes: Any) -> None:
         try:
             value = attributes[key]
         except OSError:
-            # Skip attributes of types that h5py cannot read. They are not conditions of a log.
+            # Skip attributes of types that h5py cannot read, because they are not conditions of a log.
             continue
         contents.note(prefix + key, str(value.as_datetime64()) if hasattr(value, "as_datetime64") else value)

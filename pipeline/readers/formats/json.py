@@ -1,6 +1,6 @@
 """Read JSON files.
 
-A file contains a list of records, alone or under a key next to a header, or one record per line, or a list per column.
+A file contains a list of records (alone, or under a key next to a header), one record per line, or one list per column.
 
 Each value inside the records is a column named by its path, such as ``state.q[3]``, or ``1``, ``2`` for plain lists.
 A null or missing value is NaN, or an empty text. True and false are 1 and 0.
@@ -23,7 +23,7 @@ from pipeline.readers.formats.delimited import unpacked
 from pipeline.records.trials import Integers
 
 Cells = dict[int, Any]
-"""Values of a column by the number of their record, counted from 0."""
+"""Values of a column, keyed by the number of the record, counted from 0."""
 
 
 def read(path: Path, settings: Profile, contents: FileColumns) -> None:
@@ -93,7 +93,7 @@ def column(where: str, cells: Cells, rows: int, row: Sequence[int] | Integers = 
 
 
 def _flat(value: Any, path: str = "", lists: bool = True) -> Iterator[tuple[str, Any]]:
-    """Yield path and value of all values inside objects, and also inside lists if ``lists`` is true."""
+    """Yield the path and the value of all values inside objects, and also inside lists if ``lists`` is true."""
     if isinstance(value, dict):
         for key, part in value.items():
             yield from _flat(part, f"{path}.{key}" if path else key, lists)
@@ -105,7 +105,8 @@ def _flat(value: Any, path: str = "", lists: bool = True) -> Iterator[tuple[str,
 
 
 def _grouped(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield path and value of single values and of lists of plain values, inside objects and lists of objects."""
+    """Yield the path and the value of single values and of lists of plain values, inside objects and lists of
+    objects."""
     if isinstance(value, dict):
         for key, part in value.items():
             yield from _grouped(part, f"{path}.{key}" if path else key)
@@ -121,7 +122,7 @@ def _grouped(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _parsed(contents: FileColumns, text: str) -> Any:
-    """Return the parsed file. It is a list if the file has one record per line."""
+    """Return the parsed file. A file with one record per line gives a list."""
     try:
         return json.loads(text)
     except json.JSONDecodeError as error:

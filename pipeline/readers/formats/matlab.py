@@ -1,6 +1,6 @@
 """Reader of MATLAB files.
 
-Fields of structs have dotted paths, elements of struct arrays and cells an index in brackets.
+Fields of structs have dotted paths. Elements of struct arrays and cells have an index in brackets.
 
 A Simulink "Structure with time" is a struct: ``scope.time``, ``scope.signals[1].values[0]``. A timeseries has
 ``ts.Time`` [s] and ``ts.Data``. A table or timetable has its variables as ``T.x`` (and ``T.Time``). A Simulink dataset
@@ -24,7 +24,7 @@ from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.file_columns import Array, FileColumns, library
 
-if find_spec("matio"):  # its import time here does not count as reading time
+if find_spec("matio"):  # imported here, so that the import does not count as reading time
     import_module("matio")
 
 _SERIES = "s = struct('time', ts.Time, 'data', ts.Data)"
@@ -53,7 +53,7 @@ def read(path: Path, settings: Profile, contents: FileColumns) -> None:
         if not name.startswith(("#", "__")):
             _add(contents, name, value)
     for name in contents.columns:
-        # Simulink writes the properties of a signal next to its values.
+        # Simulink stores the properties of a signal next to its values.
         stem, _, rest = name.rpartition(".values")
         if stem and not rest.strip("[0123456789]") and (label := contents.attributes.get(f"{stem}.label")):
             contents.hints[name] = str(label)
@@ -77,7 +77,7 @@ def _by_matio(contents: FileColumns, path: Path, newer: bool) -> dict[str, objec
 
 
 def _classes(path: Path, newer: bool) -> dict[str, str]:
-    """Return the class of each variable, by name."""
+    """Return the class of each variable, keyed by name."""
     if not newer:
         return {name: kind for name, (_, kind) in library("matio", "mat").whosmat(path).items()}
     with library("h5py", "mat").File(path) as file:
@@ -86,7 +86,7 @@ def _classes(path: Path, newer: bool) -> dict[str, str]:
 
 
 def _advice(kind: str) -> str:
-    """Return the reason why an object of a class is not read, and the command that exports it."""
+    """Return a text with the reason why an object of a class is not read, and the command that exports the object."""
     export = _EXPORTS.get(kind, "s = struct('time', <its times>, 'data', <its values>)")
     each = " for each of its elements" if kind.endswith(("Dataset", "Output")) else ""
     text = f"is a MATLAB object of class {kind[:80]}, which only MATLAB can read. Export it in MATLAB{each}: {export}; "
@@ -132,7 +132,7 @@ def _texts(value: Array) -> Array:
 
 
 def _add_object(contents: FileColumns, path: str, value: Any) -> None:
-    """Add times and values of all timeseries in an object. Mark the object as unreadable if there are none."""
+    """Add the times and values of all timeseries in an object. Mark an object without timeseries as unreadable."""
     before = len(contents.columns)
     _add_series(contents, path, value)
     if len(contents.columns) == before:
@@ -159,7 +159,7 @@ def _add_series(contents: FileColumns, path: str, value: Any) -> None:
 
 
 _TRANSPARENT = ("Storage", "Elements", "Elements_", "Values")
-"""Internal levels of a Simulink dataset that users do not see."""
+"""Names of the internal levels of a Simulink dataset, which users do not see."""
 
 
 def _add_parts(contents: FileColumns, path: str, parts: Mapping[str, Any]) -> None:
@@ -204,7 +204,7 @@ def _text(value: Any) -> str:
 
 
 def _name_of(element: Any) -> str:
-    """Return the name of an element of a dataset. It is empty if no name is valid in a path."""
+    """Return the name of an element of a dataset, or an empty text if no name is valid in a path."""
     named = (
         isinstance(element, np.ndarray) and element.dtype.names and "Name" in element.dtype.names and element.size == 1
     )

@@ -41,7 +41,7 @@ class _Body:
         if data.endswith(b"\n") and data[-2:-1] not in _BLANK:
             # usual case, without a copy
             self.view = memoryview(data)[start:]
-            # this is three times as fast as `bytes.count`
+            # three times as fast as `bytes.count`
             self.lines = int(np.count_nonzero(np.frombuffer(self.view, np.uint8) == _LINE_FEED))
         else:
             text = data[start:].rstrip(_BLANK) + b"\n"
@@ -60,7 +60,7 @@ def read(profile: Profile, raws: Sequence[RawLog]) -> list[tuple[Log, ...] | Log
     Returns
     -------
     list of tuple of Log (one each), or LogError
-        In the same order.
+        Outcomes in the order of ``raws``.
     """
     outcomes: list[tuple[Log, ...] | LogError | None] = [None] * len(raws)
     bodies: dict[int, _Body] = {}
@@ -103,7 +103,7 @@ def _split(data: bytes) -> tuple[NativeHeader, int, int]:
         lines.append(text)
     parse_header(lines)
     found = f"column line {COLUMN_LINE!r} is missing below the header"
-    raise refusal("header-missing", "", found, cure="Add it and the samples.", row=len(lines) + 1)
+    raise refusal("header-missing", "", found, cure="Add this line and the samples.", row=len(lines) + 1)
 
 
 def _parse(text: bytes, lines: int) -> Columns | None:
@@ -114,7 +114,7 @@ def _parse(text: bytes, lines: int) -> Columns | None:
         table = pacsv.read_csv(
             pa.BufferReader(text),
             pacsv.ReadOptions(column_names=_NAMES, use_threads=False),
-            # Blank lines count as rows and quotes as text, so that each line is one row.
+            # Blank lines count as rows, and quotation marks are ordinary characters, so that each line is one row.
             pacsv.ParseOptions(quote_char=False, ignore_empty_lines=False),
             pacsv.ConvertOptions(
                 column_types=dict.fromkeys(_NAMES, pa.float64()), null_values=[], strings_can_be_null=False
@@ -129,9 +129,8 @@ def _parse(text: bytes, lines: int) -> Columns | None:
 
 
 def _parse_alone(body: _Body) -> Columns:
-    """Return the columns of a log that the common parser rejected, if its lines are valid numbers.
-
-    Otherwise, the error names the faulty row.
+    """Return the columns of a log that the common parser rejected, if its lines are valid numbers. Otherwise, raise an
+    error that names the faulty row.
     """
     rows = []
     for row, line in enumerate(bytes(body.view).decode("utf-8", "replace").split("\n")[:-1], start=body.first_row):
