@@ -162,7 +162,7 @@ def _check_units(profile: Profile, name: str, role: str, frame: FileColumns) -> 
         found = f"columns.{key}.unit is {source.unit!r}, but the file states {in_file!r}"
         if typed:
             raise refusal("profile-wrong", name, found, line=f'[columns.{key}]\nunit = "{typed}"')
-        frame.warnings += (f"{found}. Check which is right",)
+        frame.warnings += (f"{found}. Check which of the two is right",)
 
 
 def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[FileColumns]) -> list[Log]:

@@ -57,8 +57,8 @@ def create_app(settings: Settings) -> ASGIApp:
     database = Database(settings.data)
     if not settings.loopback and not database.has_tokens():
         raise UsageError(
-            f"--host {settings.host}: other computers could reach the server, but there is no token. Create one first: "
-            f"pipeline token create --role admin --processed {settings.processed}"
+            f"--host {settings.host}: other computers could reach the server, but there is no token. Create a token "
+            f"first: pipeline token create --role admin --processed {settings.processed}"
         )
     catalogue, workers = Catalogue(settings.processed, database), Workers(settings, database)
     service = Service(settings, database, catalogue, workers, Theory(settings.theory_s))
@@ -112,7 +112,8 @@ def _methods(request: Request) -> set[str]:
 
 
 def serve(settings: Settings, say: Callable[[str], None]) -> None:
-    """Serve requests until a termination signal arrives. The address is reported once the server can be reached."""
+    """Serve requests until a termination signal arrives. The address is reported as soon as the server can be
+    reached."""
     logging.getLogger("pipeline.service").setLevel(logging.INFO)
     logging.basicConfig(format="%(message)s")
     device_files.use_folder(settings)

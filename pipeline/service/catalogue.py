@@ -1,7 +1,7 @@
-"""Index of all stored trials in SQLite, for lists, facets, sorting and searches. It contains stored verdicts and costs.
-
-The Parquet files are authoritative. They are checked when something may have changed, and experiments with changed
-files are read again. The index can be deleted at any time and is then rebuilt. This module computes no results.
+"""Index of all stored trials in SQLite, for lists, facets, sorting and searches. The index also contains stored
+verdicts and costs. The Parquet files are authoritative. They are checked when something may have changed, and
+experiments with changed files are read again. The index can be deleted at any time and is then rebuilt. This module
+computes no results.
 """
 
 from __future__ import annotations
@@ -44,13 +44,14 @@ from pipeline.store.storage import (
 )
 
 LOOK_S = 0.5
-"""Longest delay until a change made on the command line is visible [s]."""
+"""Longest delay before a change made on the command line becomes visible [s]."""
 
 KEPT = 64
-"""Number of cached answers per state. The cache helps because readers turn pages and request the same data again."""
+"""Number of cached answers per state. The cache helps because readers turn pages back and forth, and request the same
+data again."""
 
 EXCLUDED = "excluded"
-"""Text shown instead of the verdict for a trial that is excluded by hand. No result uses such a trial."""
+"""Text shown instead of the verdict for a trial that is excluded manually. No result uses such a trial."""
 
 WORDS = ("device", "experiment", "verdict", "outcome")
 _STORED = ("trial_id", "device", "experiment", "motion", "grip", "stiffness", "damping")
@@ -115,7 +116,7 @@ class Device(Record):
 
 
 class Experiment(Record):
-    """An experiment, with numbers of its trials by verdict, and the time of its last log."""
+    """An experiment, with the number of trials for each verdict, and the time of the last log."""
 
     device: str
     experiment: str
@@ -146,7 +147,8 @@ class RecordingFinding(Record):
 
 
 class Trial(Record):
-    """A trial; stiffness and damping in SI. A trial ``excluded`` by hand (with the reason) has that word as verdict."""
+    """A trial, with stiffness and damping in SI. If the trial is excluded manually, ``excluded`` has the reason, and
+    the verdict is "excluded"."""
 
     id: str
     device: str
@@ -175,7 +177,7 @@ class Trial(Record):
 
 @dataclass(frozen=True)
 class Selection:
-    """Selection of trials: values of `WORDS`, ends of ranges (``stiffness_min``, ...), and a search text."""
+    """Selection of trials: values of `WORDS`, limits of ranges (``stiffness_min``, ...), and a search text."""
 
     words: Mapping[str, str | None]
     ranges: Mapping[str, float]
@@ -212,7 +214,7 @@ class Catalogue:
     ----------
     processed : Path
     database : Database
-        Database of notes, tags and uploaders. It is in the folder of the catalogue.
+        Database of notes, tags and uploaders. Its file is in the folder of the catalogue.
     """
 
     def __init__(self, processed: Path, database: Database) -> None:
@@ -242,10 +244,8 @@ class Catalogue:
         return self._connection.execute(statement, values).fetchall()
 
     def run(self, statement: str, values: Sequence[object] = ()) -> list[sqlite3.Row]:
-        """Return rows of the present state.
-
-        The state is at most `LOOK_S` old and always includes changes by this service.
-        """
+        """Return rows of the current state, which is at most `LOOK_S` old and always includes changes by this
+        service."""
         with self._lock:
             done = tuple(self.database.run(_DONE)[0])
             if done != self._done or time.monotonic() - self._looked > LOOK_S:
@@ -254,7 +254,8 @@ class Catalogue:
         return self._run(statement, values)
 
     def once(self, key: str, make: Callable[[], Kept]) -> Kept:
-        """Return a result that depends only on the present state. Recent results are cached."""
+        """Return a result that depends only on the current state, from the cache if possible. Recent results are
+        cached."""
         self.run("SELECT 1")
         key = f"{self._state} {key}"
         if key not in self._kept:
@@ -279,13 +280,13 @@ class Catalogue:
 
     @property
     def damaged(self) -> dict[str, str]:
-        """Experiments that could not be read, and the reasons."""
+        """Experiments that could not be read, with the reasons."""
         rows = self.run("SELECT * FROM parts WHERE damaged != ''")
         return {f"{row['device']}/{row['experiment']}": row["damaged"] for row in rows}
 
     @property
     def experiments(self) -> list[Experiment]:
-        """All experiments, with numbers of trials by verdict and the time of the last log, in natural order."""
+        """All experiments in natural order, with the number of trials for each verdict and the time of the last log."""
 
         def made() -> list[Experiment]:
             rows = self._run(_EXPERIMENTS)
@@ -296,7 +297,7 @@ class Catalogue:
 
     @property
     def devices(self) -> list[Device]:
-        """All devices, with numbers of experiments and trials."""
+        """All devices, with the numbers of experiments and trials."""
         own = groupby(self.experiments, key=lambda e: e.device)
         found = ((device, list(each)) for device, each in own)
         return [Device(device=d, experiments=len(e), trials=sum(one.trials for one in e)) for d, e in found]
@@ -312,7 +313,7 @@ class Catalogue:
         return row["sample_file"], int(row["sample_row"])
 
     def selected(self, chosen: Selection) -> tuple[int, dict[str, dict[str, int]]]:
-        """Return the number of selected trials, and how many of them have each value of `WORDS`."""
+        """Return the number of selected trials, and the number of them that have each value of `WORDS`."""
 
         def made() -> tuple[int, dict[str, dict[str, int]]]:
             where, values = self._chosen(chosen)
@@ -328,10 +329,10 @@ class Catalogue:
         return self.once(f"selected {chosen}", made)
 
     def page(self, chosen: Selection, sort: str, limit: int, after: tuple[Any, str] | None) -> tuple[list[Trial], bool]:
-        """Return trials in order, starting after a value and trial, and whether more follow.
+        """Return trials in order, starting after a given value and trial, and True if more trials follow.
 
-        A page depends only on this value and trial, so that trials added in the meantime do not shift it. Missing
-        values come last.
+        A page depends only on this value and trial, so that the page is not shifted by trials added in the meantime.
+        Missing values come last.
         """
         name, way = sort.lstrip("-"), "DESC" if sort.startswith("-") else "ASC"
         where, values = self._chosen(chosen)
@@ -364,8 +365,8 @@ class Catalogue:
     def _refresh(self) -> None:
         """Read changed data again.
 
-        Changed experiments are recognised by their files and corrections. Changed notes and tags are recognised by
-        their time stamps.
+        Changed experiments are detected by their files and corrections. Changed notes and tags are detected by their
+        time stamps.
         """
         corrections, whole = self._corrections()
         places: dict[tuple[str, str], list[Path]] = {one.place: [] for one in corrections if one.changes_place}
@@ -392,7 +393,7 @@ class Catalogue:
         self._state, self._kept = state, {}
 
     def _corrections(self) -> tuple[list[Correction], bool]:
-        """Return the manual corrections, and whether they could be read. If not, experiments report this."""
+        """Return the manual corrections, and True if they could be read. If not, each experiment reports the error."""
         with suppress(StoreError):
             files = corrections_files(self.processed)
             return (list(read_corrections(self.processed).values()) if files else []), True
@@ -406,7 +407,7 @@ class Catalogue:
         if sign is not None:
             connection.execute("INSERT INTO parts VALUES (?, ?, ?, ?)", (*place, sign, damaged))
         marks = ", ".join("?" * (len(COLUMNS) + 1))
-        # a moved trial may still be listed at another place
+        # a moved trial may still be listed at its old place
         connection.executemany(f"INSERT OR REPLACE INTO trials VALUES ({marks})", rows)
         connection.execute("COMMIT")
 
@@ -442,12 +443,12 @@ class Catalogue:
 
 
 def _findings(time_quality: str) -> str:
-    """Return the findings of a recording, each with its sentence, as JSON."""
+    """Return the findings of a recording as JSON, each with its sentence."""
     return json.dumps([each.document for each in stored_findings(time_quality)])
 
 
 def _joined(ids: Sequence[str], stage: pa.Table | None, column: str) -> list[Any]:
-    """Return a column of a stage in the order of the trials, or None if it has no row or no value."""
+    """Return a column of a stage in the order of the trials. A trial without a row or a value has None."""
     if stage is None:
         return [None] * len(ids)
     known = dict(zip(stage.column("trial_id").to_pylist(), stage.column(column).to_pylist(), strict=True))

@@ -1,8 +1,8 @@
 """Limits on client connections. A header must be complete in time, and the number of connections per address is
 limited.
 
-A server opens a file for each connection. Without these limits, a client without a token could keep it open by sending
-half a header or nothing.
+A server opens a file for each connection. Without these limits, a client without a token could keep files open by
+sending half a header or nothing.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ class Connection(H11Protocol):
 
     @property
     def headless(self) -> bool:
-        """Whether no request is in progress. A request with an incomplete header is not in progress."""
+        """True if no request is in progress. A request is in progress once its header is complete."""
         return self.conn.their_state is h11.IDLE and self.conn.our_state is h11.IDLE
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Accept a connection. If its address has too many, close the oldest one without a header, or else the new
-        one."""
+        """Accept a connection. If its address has too many connections, close the oldest one without a header,
+        otherwise the new one."""
         super().connection_made(transport)
         own = [one for one in self.connections if isinstance(one, Connection) and one.address == self.address]
         if len(own) > self.settings.connections:
@@ -69,7 +69,7 @@ class Connection(H11Protocol):
 
     @property
     def address(self) -> str:
-        """Address of the client. All clients of a Unix socket count as one."""
+        """Address of the client. All clients of a Unix socket count as one address."""
         return self.client[0] if self.client else ""
 
     def _wait(self) -> None:
@@ -111,7 +111,7 @@ def server_of(app: ASGIApp, settings: Settings) -> uvicorn.Server:
 
 
 def serve(app: ASGIApp, settings: Settings, say: Callable[[str], None]) -> None:
-    """Serve requests until a termination signal arrives. The address is reported once the server can be reached.
+    """Serve requests until a termination signal arrives. The address is reported as soon as the server can be reached.
 
     Raises
     ------
@@ -124,8 +124,8 @@ def serve(app: ASGIApp, settings: Settings, say: Callable[[str], None]) -> None:
         found = socket.create_server((settings.host, settings.port), family=family, backlog=BACKLOG)
     except OSError as error:
         raise UsageError(
-            f"--host {settings.host} --port {settings.port}: the server cannot listen there ({error}). Choose "
-            "another port, or end the program that uses it."
+            f"--host {settings.host} --port {settings.port}: the server cannot listen there ({error}). Choose a "
+            "different port, or end the program that uses this one."
         ) from error
     with found, suppress(KeyboardInterrupt):
         host = f"[{settings.host}]" if six else settings.host

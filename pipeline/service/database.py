@@ -2,8 +2,8 @@
 
 These are jobs with their leases, tokens, sessions, uploads, notes, tags and the audit.
 
-Every statement is a separate transaction, which is on disk when the statement returns. Server, workers and command line
-share the database file.
+Every statement is a separate transaction, which has been written to disk when the statement returns. Server, workers
+and command line share the database file.
 """
 
 from __future__ import annotations
@@ -37,21 +37,20 @@ LEASE_S = 10.0
 """Time without a heartbeat after which another worker takes over a job [s]."""
 
 ATTEMPTS = 3
-"""Largest number of starts of a job. If its worker crashes each time, the job is regarded as the cause."""
+"""Largest number of attempts to execute a job. If its worker crashes each time, the job is regarded as the cause."""
 
 WORKS = ("upload", "stages", "experiment plan comparison optimum drawing")
 """Kinds of jobs that each worker executes, in order of priority.
 
-The workers process logs with their verdicts, costs, and displayed results, respectively.
-
-Figures come last, except for renewed reports.
+The workers process, respectively, logs with their verdicts, costs, and displayed results. Drawings have the lowest
+priority, except for renewed reports.
 """
 
 MOST_DRAWINGS = 100
 """Largest number of queued drawings. The users who requested older drawings have probably left the page."""
 
 KEPT_S = 30 * 86400.0
-"""Retention time of ended jobs, and of reports that have a newer version [s]."""
+"""Retention time of ended jobs, and of reports that were replaced by a newer version [s]."""
 
 LOCAL = "this computer"
 """Name of a user without a token."""
@@ -59,7 +58,7 @@ LOCAL = "this computer"
 ENDED = ("done", "failed", "cancelled")
 
 NEWEST = 2**62
-"""Number above that of any row."""
+"""A number larger than that of any row."""
 
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS jobs (number INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT UNIQUE NOT NULL, kind TEXT NOT NULL,
@@ -96,7 +95,7 @@ class ProblemDocument(BaseModel):
 
 
 class Job(Record):
-    """A job; `result` is null until it is done, `problem` until it failed."""
+    """A job; `result` is null until the job is done. `problem` is null unless the job failed."""
 
     id: str
     number: int
@@ -112,7 +111,7 @@ class Job(Record):
 
     @property
     def has_ended(self) -> bool:
-        """Whether the job is done, failed or cancelled."""
+        """True if the job is done, failed or cancelled."""
         return self.state in ENDED
 
 
@@ -127,7 +126,7 @@ class Deed(Record):
 
 
 class Words(Record):
-    """Notes (a text) or tags (a list) of a trial or experiment, with author and time of the last change [s]."""
+    """Notes (a text) or tags (a list) of a trial or experiment, with the author and the time of the last change [s]."""
 
     value: Any
     author: str | None = None
@@ -135,7 +134,8 @@ class Words(Record):
 
 
 def hashed(secret: str) -> str:
-    """Return the hash under which a secret is stored. A fast hash is sufficient because the secrets are random."""
+    """Return the hash under which a secret is stored. A fast hash is sufficient because the secrets are random
+    numbers."""
     return hashlib.sha256(secret.encode()).hexdigest()
 
 
@@ -190,7 +190,7 @@ class Database:
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
-        """Execute either all statements of a block or none."""
+        """Execute either all statements of a block or none of them."""
         self.run("BEGIN IMMEDIATE")
         try:
             yield
@@ -205,8 +205,8 @@ class Database:
     def add_job(
         self, kind: str, request: JsonObject, key: str = "", job: str | None = None, author: str = "", late: int = 0
     ) -> str:
-        """Queue a job, or return the waiting or running job with the same kind and key. An empty key always queues a
-        new job.
+        """Queue a job, or return the waiting or running job of the same kind with the same key. An empty key always
+        queues a new job.
 
         A running job of the kind ``stages`` is not reused because it may miss new trials.
         """
@@ -232,9 +232,8 @@ class Database:
         return str(rows[0]["id"])
 
     def claim(self, owner: str, kinds: str = " ".join(WORKS)) -> Job | None:
-        """Take a waiting job of these kinds, or one whose worker has no heartbeat.
-
-        Return None if there is no such job.
+        """Take a waiting job of these kinds, or a running job whose worker has no heartbeat. Return None if there is no
+        such job.
         """
         now = time.time()
         rows = self.run(
@@ -246,7 +245,7 @@ class Database:
         return _job_of(rows[0]) if rows else None
 
     def heartbeat(self, job: str, owner: str, progress: object) -> bool:
-        """Renew the lease of a job, and return whether the job still belongs to this worker."""
+        """Renew the lease of a job. Return False if the job no longer belongs to this worker."""
         given = (time.time() + LEASE_S, json.dumps(progress), time.time(), job, owner)
         return bool(self.run(f"UPDATE jobs SET lease = ?, progress = ?, changed = ? {_OWN} RETURNING id", *given))
 
@@ -289,16 +288,16 @@ class Database:
         return [_job_of(row) for row in rows], last
 
     def latest(self, table: str, before: int, limit: int, which: str = "1") -> tuple[list[sqlite3.Row], int | None]:
-        """Return the rows below a number, the newest first.
-
-        If more rows follow, also return the number of the last row.
+        """Return the rows with numbers below a given one, newest first, and the number of the last row, or None if no
+        more rows follow.
         """
         given = (min(max(before, 0), NEWEST), limit + 1)
         rows = self.run(f"SELECT * FROM {table} WHERE {which} AND number < ? ORDER BY number DESC LIMIT ?", *given)
         return rows[:limit], rows[limit - 1]["number"] if len(rows) > limit else None
 
     def reports(self, most: int) -> list[tuple[Job, bool]]:
-        """Return the jobs that made comparisons, the newest first, and whether a newer job made the same comparison."""
+        """Return the jobs that made comparisons, newest first, each with True if a newer job made the same
+        comparison."""
         found, seen = list[tuple[Job, bool]](), set[str]()
         for job in self.jobs(NEWEST, most, "kind = 'comparison' AND state = 'done'")[0]:
             asked = json.dumps(job.request.get("asked", job.id))
@@ -312,7 +311,7 @@ class Database:
         return rows[0]["name"] if rows else str(path_of_text(path))
 
     def uploaded(self) -> dict[str, tuple[str, str]]:
-        """Return the name and the uploader of each uploaded log by its path."""
+        """Return the name and the uploader of each uploaded log, keyed by its path."""
         rows = self.run("SELECT path, name, author FROM uploads JOIN jobs ON jobs.id = uploads.job")
         return {row["path"]: (row["name"], row["author"]) for row in rows}
 
@@ -322,9 +321,9 @@ class Database:
         return {row["state"]: row["n"] for row in rows}
 
     def forget_old(self) -> set[str]:
-        """Remove jobs that ended long ago, except uploads and the last report of each kind. Return the remaining keys.
+        """Remove jobs that ended long ago, and return the remaining keys.
 
-        Jobs of uploads are kept so that their logs are recognised.
+        Uploads and the last report of each request are kept. Jobs of uploads are kept so that their logs are recognised.
         """
         self.run(
             "DELETE FROM jobs WHERE state IN ('done', 'failed', 'cancelled') AND kind != 'upload' AND changed < ? AND "
@@ -334,7 +333,7 @@ class Database:
         )
         return {row["key"] for row in self.run("SELECT key FROM jobs WHERE key != ''")}
 
-    # permissions and audit: only hashes of tokens and logins are stored
+    # Permissions and audit. Only hashes of tokens and logins are stored.
 
     def create_token(self, role: Role, name: str, days: float | None = None) -> str:
         """Create a token and return it. Only its hash is stored."""
@@ -344,12 +343,12 @@ class Database:
         return token
 
     def tokens(self) -> list[dict[str, str | None]]:
-        """Return the id, the role, the name and the day of expiry of all tokens."""
+        """Return the id, the role, the name and the expiry date of all tokens."""
         columns = "substr(hash, 1, 12) AS id, role, name, date(expires, 'unixepoch') AS ends"
         return [dict(row) for row in self.run(f"SELECT {columns} FROM tokens ORDER BY created")]
 
     def revoke_token(self, identifier: str) -> bool:
-        """Remove a token by its id, and return whether it existed."""
+        """Remove the token with an id. Return False if it did not exist."""
         return bool(self.run("DELETE FROM tokens WHERE substr(hash, 1, 12) = ? RETURNING hash", identifier))
 
     def has_tokens(self) -> bool:

@@ -1,5 +1,5 @@
-"""Device files of the lab (TOML). They take precedence over shipped files with the same name from the next comparison
-on."""
+"""Device files of the lab (TOML). From the next comparison on, they take precedence over shipped files with the same
+name."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pipeline.store.names import folder_name
 
 
 def use_folder(settings: Settings) -> None:
-    """Set the folder of device files to that of the service's data if the environment names no folder.
+    """Set the folder of device files to a folder in the data of the service, if the environment names no folder.
 
     Workers inherit it.
     """
@@ -41,7 +41,7 @@ def text_of(name: str) -> str:
 
 
 def is_of_the_lab(name: str) -> bool:
-    """Return True if a device has a file of the lab, which can be removed."""
+    """Return True if a device has a file of the lab. Such a file can be removed."""
     own, file = user_device_folder(), device_file(name)
     return own is not None and file is not None and file.parent == own
 
@@ -52,12 +52,15 @@ def keep(name: str, text: str) -> Path:
     Raises
     ------
     Problem
-        If the file is invalid (each wrong field is named) or describes another device, or if there is no folder for it.
+        If the file is invalid (each wrong field is named) or describes a different device, or if there is no folder for
+        device files.
     """
     folder = user_device_folder()
     if folder is None:
         raise Problem(
-            409, f"The server has no folder for device files. Set {USER_FOLDER_VARIABLE} to a folder, and restart it."
+            409,
+            f"The server has no folder for device files. Set {USER_FOLDER_VARIABLE} to a folder, and restart the "
+            "server.",
         )
     trial = folder / f".{folder_name(name)}.checked"
     write_text(trial, text)
@@ -68,7 +71,7 @@ def keep(name: str, text: str) -> Path:
     finally:
         trial.unlink(missing_ok=True)
     if found != name:
-        raise Problem(422, "The file describes another device.", where="name", expected=name, found=found)
+        raise Problem(422, "The file describes a different device.", where="name", expected=name, found=found)
     file = device_file(name) if is_of_the_lab(name) else None
     target = file or folder / f"{folder_name(name)}.toml"
     write_text(target, text)
@@ -76,7 +79,7 @@ def keep(name: str, text: str) -> Path:
 
 
 def remove(name: str) -> None:
-    """Remove the lab's file of a device. A shipped file with its name is then used again.
+    """Remove the lab's file of a device. A shipped file with the same name is then used again.
 
     Raises
     ------
@@ -90,7 +93,8 @@ def remove(name: str) -> None:
 
 
 def draft(name: str, result: ComparisonResult | None) -> str:
-    """Return a draft of a device file, with mass, damping and delay identified from the logs if they were compared."""
+    """Return a draft of a device file. Mass, damping and delay are those identified from the logs, if the logs were
+    compared."""
     lines = [f'name = "{name}"', f'motion = "{result.motion if result else "translation"}"']
     first = result.experiments[0] if result else None
     lines.append(f"sampling_period_s = {first.sampling_period_s if first and first.sampling_period_s else 0.001}")

@@ -1,5 +1,5 @@
-"""Files with the results of jobs, named by a key of their inputs. The module imports little because the server needs
-nothing else about jobs."""
+"""Files with the results of jobs, named by a key of their inputs. The module imports little, because it is all that the
+server needs of the code of jobs."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Convert errors to problem documents (RFC 9457).
 
-A document states what is wrong and where, what was expected and found, and what to do.
+A document states the error and its place, the expected and the found value, and the remedy.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Problem(Exception):  # noqa: N818 (RFC 9457 calls it so)
     ----------
     status : int
     detail : str
-        What is wrong and what to do.
+        The error and its remedy.
     headers : mapping of str to str, optional
         Headers of the answer.
     **more : object
@@ -64,7 +64,7 @@ class Problem(Exception):  # noqa: N818 (RFC 9457 calls it so)
 
 
 class Later(Exception):  # noqa: N818 (nothing is wrong)
-    """Exception for a result that takes longer than a request waits. It contains the job that computes the result."""
+    """Raised if a result takes longer than a request waits. The exception contains the job that computes the result."""
 
     def __init__(self, job: str) -> None:
         super().__init__(job)

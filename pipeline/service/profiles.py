@@ -1,6 +1,6 @@
-"""Profiles of the lab (TOML) in addition to the shipped ones. They are drafted and tried as on the command line.
+"""Profiles of the lab (TOML) in addition to the shipped ones. Profiles are drafted and tried as on the command line.
 
-For drafts and previews, a separate process reads the uploaded files. It is terminated if it takes too long.
+For drafts and previews, a separate process reads the uploaded files. The process is terminated if it takes too long.
 """
 
 from __future__ import annotations
@@ -37,21 +37,20 @@ WAIT_S, DRAFT_S = 30.0, 86400.0
 """Time limit of a draft or preview, and retention time of samples [s]."""
 
 _REMARKS = 5
-"""Largest number of contradictions listed in a profile."""
+"""Largest number of contradictions that are listed as remarks in a profile."""
 
 _AT_WORK = threading.Lock()
 
 
 def names(settings: Settings) -> list[str]:
-    """Return the names of all profiles. Those of the lab come first."""
+    """Return the names of all profiles, first those of the lab."""
     own = sorted(file.stem for file in (settings.data / "profiles").glob("*.toml"))
     return [*own, *(profile.name for profile in shipped_profiles() if profile.name not in own)]
 
 
 def profile_path(settings: Settings, name: str) -> str | Path | None:
-    """Return a profile in the form that an ingest accepts.
-
-    It is the file of a profile of the lab, the name of a shipped profile, or None for an empty name.
+    """Return a profile in the form that an ingest accepts: the file of a profile of the lab, the name of a shipped
+    profile, or None for an empty name.
     """
     own = settings.data / "profiles" / f"{name}.toml"
     if not name or (re.match(NAME, name) and own.is_file()):
@@ -70,7 +69,7 @@ def text_of(settings: Settings, name: str) -> str:
 
 
 def checked_text(settings: Settings, name: str, text: str) -> tuple[str, str]:
-    """Return a profile with its new name, and its hash.
+    """Return the text of a profile with its new name, and the hash of the profile.
 
     Raises
     ------
@@ -105,8 +104,8 @@ def refuse_sheet(has_sheet: bool) -> None:
     if has_sheet:
         raise Problem(
             422,
-            "A profile in the service cannot name a sheet. Give its rows as [[file]] entries, as `pipeline push "
-            "--sheet` does.",
+            "A profile in the service cannot name a sheet. Write the rows of the sheet as [[file]] entries, as "
+            "`pipeline push --sheet` does.",
             where="sheet",
             expected="[[file]] entries",
             found="[sheet]",
@@ -114,17 +113,17 @@ def refuse_sheet(has_sheet: bool) -> None:
 
 
 def keep(settings: Settings, name: str, text: str) -> None:
-    """Store a checked profile, replacing an earlier one with its name."""
+    """Store a checked profile, replacing an earlier profile with the same name."""
     write_text(settings.data / "profiles" / f"{name}.toml", text)
 
 
 _OF_A_PROFILE = {"sampling_period", "wrong_sign"}
-"""Findings on a recording that a wrong profile causes."""
+"""Findings on a recording that a wrong profile may cause."""
 
 
 @dataclass(frozen=True)
 class Contradiction:
-    """Sample log whose command obeys a different wall from the one that a profile states.
+    """Sample log whose command follows a wall that differs from the one stated in a profile.
 
     Parameters
     ----------
@@ -133,7 +132,7 @@ class Contradiction:
     expected : str
         Stiffness, damping and step that the profile states, with units.
     found : str
-        Gains that the command obeys, and how to correct the profile.
+        Gains that the command follows, and the correction of the profile.
     """
 
     where: str
@@ -165,7 +164,7 @@ def refuse_contradictions(found: Sequence[Contradiction]) -> None:
     ------
     Problem
         If there is a contradiction. The problem states the logs, the wall of the profile, and the wall that the command
-        obeys.
+        follows.
     """
     if not found:
         return
@@ -182,7 +181,8 @@ def refuse_contradictions(found: Sequence[Contradiction]) -> None:
 
 
 def with_confirmation(text: str, words: str, who: str, found: Sequence[Contradiction]) -> str:
-    """Return a profile with remarks on who confirmed the contradictions of its sample, when, and in which words."""
+    """Return a profile with remarks that state the user who confirmed the contradictions of its sample, the date, and
+    the reason given by the user."""
     lines = [f"CONFIRMED by {who or 'unknown'} on {time.strftime('%Y-%m-%d')}: {words}"]
     lines += [f"contradiction, {one.where}: {one.found}" for one in found[:_REMARKS]]
     lines += [f"contradictions in {counted(len(found) - _REMARKS, 'other log')}"] if len(found) > _REMARKS else []
@@ -192,9 +192,8 @@ def with_confirmation(text: str, words: str, who: str, found: Sequence[Contradic
 
 
 def samples_folder(settings: Settings, sample: str) -> Path:
-    """Return the folder for the samples of a draft, and remove older folders.
-
-    The folder's name is proposed for the experiment.
+    """Return the folder for the samples of a draft, and remove older folders. The last part of the path is proposed as
+    the name of the experiment.
     """
     folder = settings.data / "drafts"
     for old in folder.glob("*"):
@@ -219,8 +218,9 @@ def draft(folder: Path) -> str:
 
 
 def preview(folder: Path, text: str) -> list[Any]:
-    """Return what a profile would read from samples. For a refused sample, return the reason."""
-    with suppress(tomllib.TOMLDecodeError):  # the check reports the mistake
+    """Return a preview of the data that a profile would read from samples. For a refused sample, the preview has the
+    reason."""
+    with suppress(tomllib.TOMLDecodeError):  # the check below reports the error
         refuse_sheet("sheet" in tomllib.loads(text))
     file = folder.with_suffix(".toml")
     write_text(file, text)

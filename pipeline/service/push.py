@@ -23,7 +23,7 @@ from pipeline.profiles.profile_model import Profile
 from pipeline.profiles.profile_text import profile_toml
 
 AT_A_TIME, BYTES = 200, 64 << 20
-"""Largest number of logs and of bytes in a request. An interruption loses at most one request."""
+"""Largest number of logs and of bytes in a request. After an interruption, at most one request must be repeated."""
 
 POLL_S = 0.2
 
@@ -31,13 +31,14 @@ Advance = Callable[[int, int | None], None]
 
 
 def push(folder: Path, to: str, profile: str | Profile | None, token: str | None, advance: Advance) -> JsonObject:
-    """Upload logs, wait until they are stored, and return what ``ingest --json`` would print for all of them.
+    """Upload logs, wait until they are stored, and return the document that ``ingest --json`` would print for all of
+    them.
 
     Raises
     ------
     UsageError
-        If there are no logs, or the server cannot be reached or refuses them. Logs that it accepted before remain
-        stored.
+        If there are no logs, or if the server cannot be reached or refuses the logs. Logs that the server accepted
+        before remain stored.
     """
     files = [folder] if folder.is_file() else sorted(_logs(folder))
     if not files:
@@ -46,7 +47,7 @@ def push(folder: Path, to: str, profile: str | Profile | None, token: str | None
     if isinstance(profile, Profile) or (profile is not None and profile.endswith(".toml")):
         asked = requested_profiles(profile, [folder])
         (ready,) = asked.profiles
-        # a server reads no sheet: its rows are sent as entries of the profile
+        # a server reads no sheet, so the rows are sent as entries of the profile
         made = isinstance(profile, Profile) or bool(asked.ignore)
         text = profile_toml(ready) if made else Path(str(profile)).read_text("utf-8")
         profile = server.keep(ready.name, text)
@@ -136,8 +137,8 @@ class _Server:
             status, text = error.code, error.read()
         except (OSError, HTTPException) as error:
             raise UsageError(
-                f"{self.address}: cannot be reached ({error}). The logs that it acknowledged are stored there. The "
-                "same command sends the rest."
+                f"{self.address}: cannot be reached ({error}). The logs that the server acknowledged are stored there. "
+                "The same command sends the rest."
             ) from error
         try:
             document = json.loads(text)

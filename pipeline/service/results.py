@@ -1,4 +1,4 @@
-"""Computations of jobs by the functions of the command line. Results are stored under a key of their inputs."""
+"""Computations of jobs, by the functions of the command line. Results are stored under a key of their inputs."""
 
 from __future__ import annotations
 
@@ -62,14 +62,14 @@ from pipeline.theory.predictions import Theory
 Progress = Callable[[object], None]
 
 Run = Callable[[Settings, Database, JsonObject, Progress], JsonObject]
-"""Function that executes a job given its request. Its return value is the result of the job."""
+"""Function that executes a job, given its request. Its return value is the result of the job."""
 
 
 class UploadRequest(Record):
     """Request of a job that ingests logs, with the number of skipped files and the author.
 
-    ``folder`` contains the new logs. ``again`` are stored paths of logs that are read again, and ``versions`` the
-    hashes of the profiles that read them before.
+    ``folder`` contains the new logs. ``again`` has the stored paths of logs that are read again, and ``versions`` has
+    the hashes of the profiles that read these logs before.
     """
 
     folder: str
@@ -81,7 +81,7 @@ class UploadRequest(Record):
 
 
 class OtherExperiment(Record):
-    """Second experiment of a comparison, with the notes on it."""
+    """Second experiment of a comparison, with its notes."""
 
     device: str
     experiment: str
@@ -91,8 +91,8 @@ class OtherExperiment(Record):
 class DocumentRequest(Record):
     """Request of a job that makes a document.
 
-    A comparison has a device, experiments, criteria, notes and perhaps another experiment. A plan has a ``goal``. A
-    drawing shows ``what`` at ``places`` (device, experiment, and perhaps a trial) in a ``plane``. ``theory`` are the
+    A comparison has a device, experiments, criteria, notes, and possibly a second experiment. A plan has a ``goal``. A
+    drawing shows ``what`` for ``places`` (device, experiment, and possibly a trial) in a ``plane``. ``theory`` has the
     arguments of `theory.document`.
     """
 
@@ -109,10 +109,10 @@ class DocumentRequest(Record):
 
 
 class Drawing(Record):
-    """Panels as SVG, the numbers that they show, a title and a caption.
+    """Panels as SVG, the plotted numbers, a title and a caption.
 
-    A drawing of one trial also has the ``evidence`` for its verdict and outcome, and the reason for each ``missing``
-    cost.
+    A drawing of a single trial also has the ``evidence`` for its verdict and outcome, and the reason for each
+    ``missing`` cost.
     """
 
     panels: tuple[str, ...]
@@ -137,7 +137,7 @@ OPTIMUM_S = 300.0
 
 def run_upload(settings: Settings, database: Database, request: JsonObject, progress: Progress) -> JsonObject:
     """Ingest uploaded logs, and compute verdicts. Return the output of ``ingest --json`` with the uploaded names."""
-    begun = time.time() - 1.0  # clocks of files are coarse
+    begun = time.time() - 1.0  # time stamps of files are coarse
     asked = UploadRequest.model_validate(request)
     result: JsonObject = {"found": 0, "ingested": 0, "skipped": 0, "quarantined": []}
     folder = settings.data / "logs" / (asked.folder or "none")
@@ -166,9 +166,8 @@ READ_AGAIN = "read logs again by a changed profile"
 
 
 def _note_versions(settings: Settings, database: Database, asked: UploadRequest) -> None:
-    """Record in the audit how many logs of an upload were read before by another version of their profile.
-
-    This is recorded once per job.
+    """Record in the audit the number of logs of an upload that were read before by a different version of their
+    profile. This is recorded only once per job.
     """
     stored = StoredSources(settings.processed, "", {}) if asked.versions else None
     logs = Counter[tuple[str, str, str]]()
@@ -177,7 +176,7 @@ def _note_versions(settings: Settings, database: Database, asked: UploadRequest)
             logs[now.profile, former, now.profile_sha256] += 1
     for (profile, former, present), count in sorted(logs.items()):
         what = {"profile": profile, "before": former, "now": present, "logs": count, "job": asked.folder}
-        if not database.has_noted(READ_AGAIN, what):  # a job that was interrupted runs twice
+        if not database.has_noted(READ_AGAIN, what):  # an interrupted job runs twice
             database.note(asked.author, READ_AGAIN, what)
 
 
@@ -196,12 +195,14 @@ def _named(value: Any, folder: Path, database: Database) -> Any:
 
 
 def run_stages(settings: Settings, database: Database, _request: JsonObject, progress: Progress) -> JsonObject:
-    """Compute verdicts and costs of all experiments that lack them. Experiments that cannot be computed are named."""
+    """Compute the missing verdicts and costs of all experiments. Experiments that cannot be computed are listed with
+    the reason."""
     failed, computed = dict[str, str](), 0
     for place in _newest_first(settings.processed):
         progress(dict(zip(("device", "experiment"), place, strict=True)))
         computed += _computed(settings, place, failed)
-        if database.job_counts("kind = 'stages'").get("queued"):  # logs came: it begins with theirs, and does the rest
+        # If logs arrived, the queued job first computes their experiments, then the rest.
+        if database.job_counts("kind = 'stages'").get("queued"):
             break
     return {"computed": computed, "failed": failed}
 
@@ -215,7 +216,7 @@ def _newest_first(processed: Path, since: float = 0.0) -> list[tuple[str, str]]:
 
 
 def _computed(settings: Settings, place: tuple[str, str], failed: dict[str, str], verdicts: bool = False) -> bool:
-    """Compute the stages that an experiment lacks, or only its verdicts. Return whether any stages were missing.
+    """Compute the missing stages of an experiment, or only its verdicts. Return True if any stages were missing.
 
     If two jobs need the stages at the same time, one job waits for the other. Verdicts are computed without waiting.
     """
@@ -254,7 +255,8 @@ def next_walls(settings: Settings, asked: DocumentRequest, _progress: Progress) 
 
 
 def optimum(_settings: Settings, asked: DocumentRequest, _progress: Progress) -> JsonObject:
-    """Find the point with the lowest cost in theory. The computation is stopped if a malicious loop takes too long."""
+    """Find the point with the lowest cost in theory. The computation is stopped if it takes too long, for example for a
+    malicious loop."""
     found: JsonObject = TheoryProcess(OPTIMUM_S).compute(*asked.theory)
     return found
 
@@ -279,7 +281,7 @@ def _keep(settings: Settings, key: str, document: JsonObject) -> JsonObject:
 
 
 def kept(make: Callable[[Settings, DocumentRequest, Progress], JsonObject]) -> Run:
-    """Return the function of a job that stores a document under its key."""
+    """Return the function of a job that computes a document and stores it under its key."""
 
     def run(settings: Settings, _database: Database, request: JsonObject, progress: Progress) -> JsonObject:
         _keep(settings, request["key"], make(settings, DocumentRequest.model_validate(request["request"]), progress))
@@ -320,7 +322,8 @@ def _compared(settings: Settings, asked: DocumentRequest, report: Path | None, p
 
 
 def figures_of(processed: Path, result: ComparisonResult) -> dict[str, Drawing]:
-    """Return the first figures of an experiment's report by name. They show the limits with theory, and a response."""
+    """Return the first figures of the report on an experiment, keyed by name: the limits with theory, and a
+    response."""
     (found,) = result.experiments
     data = open_scene(result.device, processed, [found.experiment], None)
     theory = Theory(found.theory) if found.theory else None
@@ -331,7 +334,7 @@ def figures_of(processed: Path, result: ComparisonResult) -> dict[str, Drawing]:
 
 
 def _drawn(figure: Figure, results: Sequence[ComparisonResult], **of_trial: dict[str, str]) -> Drawing:
-    """Return a drawn figure. It is marked if the logs of any result are simulated."""
+    """Return a drawn figure. The drawing is marked if the logs of any result are simulated."""
     drawn = draw(replace(figure, simulated=any(each.simulated for each in results)))
     return Drawing(panels=drawn.panels, shown=drawn.shown, title=figure.title, caption=figure.caption, **of_trial)
 
@@ -361,7 +364,9 @@ def trials(processed: Path, asked: DocumentRequest, results: Sequence[Comparison
         figures.append(trial_figure(stages, result.experiments[0], trial, result.motion))
         row = next(iter(stages.trials.filter(pc.equal(stages.trials["trial_id"], trial)).to_pylist()), None)
         if row is None and len(asked.places) > 1:
-            raise DeviceError(f"trial {trial} is excluded manually. Include it again, or omit it.")
+            raise DeviceError(
+                f"trial {trial} is excluded manually. Include this trial again, or omit it from the drawing."
+            )
         k, b = (significant(row[name], 4) if row else "" for name in ("stiffness", "damping"))
         units = UNITS[result.motion]
         labels.append(f"K {k} {units.stiffness}, B {b} {units.damping} ({device}, {experiment})")
@@ -383,7 +388,7 @@ def _told_of(stages: ExperimentStages, trial: str) -> dict[str, dict[str, str]]:
     for criterion in REPORTED:
         if stages.is_stored(criterion_of(criterion).family.name) and np.isnan(stages.cost(criterion)[0][row]):
             reason = reason_of(criterion, stages.cost_reasons(criterion)[row])
-            missing[criterion] = reason or "only stable trials have one"
+            missing[criterion] = reason or "costs are defined only for stable trials"
     return {"evidence": {name: text for name, text in evidence.items() if text}, "missing": missing}
 
 

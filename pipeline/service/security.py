@@ -1,8 +1,8 @@
 """Access control. It checks every request before any other code reads it, and sets the headers of every answer.
 
-On loopback, no token is needed. A page of another site cannot exploit this because its Origin, or the name under which
-it made a browser find this computer (Host), is refused. Elsewhere, a token is needed. It is sent as a Bearer token or
-replaced by the cookie of a login.
+On loopback, no token is needed. A page of another site cannot exploit this: its Origin is refused, and so is any host
+name under which the page made a browser find this computer (Host). Elsewhere, a token is needed. A token is sent as a
+Bearer token, or replaced by the cookie of a login.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from pipeline.service.settings import Settings
 LOG = logging.getLogger("pipeline.service")
 
 SESSION, FORM = "pipeline-session", "pipeline-form"
-"""Names of the cookie of a login and of the cookie for the forms of a browser."""
+"""Names of the cookie for a login, and of the cookie for the forms of a browser."""
 
 SMALL = 1 << 20
 """Largest size of a request without logs [byte]."""
 
 DRAIN_S = 5.0
-"""Time for which a refused client may continue sending [s]. A client that is disconnected at once does not read the
+"""Time for which a refused client may continue sending [s]. A client that is disconnected at once would not read the
 reason."""
 
 OPEN = ("/login", "/api/v1/health")
@@ -57,7 +57,7 @@ HEADERS = {
 
 
 BURST_S = 10.0
-"""Burst size, as seconds of the permitted rate. Bursts are normal because a page loads several files."""
+"""Burst size, in seconds at the permitted rate. Bursts are normal because a page loads several files."""
 
 MOST_KNOWN = 10_000
 """Largest number of tracked senders. If there are more, senders that are not currently limited are dropped."""
@@ -69,7 +69,7 @@ class Rates:
     Parameters
     ----------
     per_minute : int
-        Number of requests that a sender may make per minute. If it is 0, there is no limit.
+        Number of requests that a sender may make per minute, or 0 for no limit.
     clock : callable
         Time [s].
     """
@@ -81,7 +81,8 @@ class Rates:
         self._left: dict[str, tuple[float, float]] = {}
 
     def wait_s(self, sender: str) -> float:
-        """Count a request of a sender. Return the required wait [s] if there were too many requests, otherwise 0."""
+        """Count a request of a sender. Return the required waiting time [s] if there were too many requests, otherwise
+        0."""
         if not self.per_s:
             return 0.0
         now = self.clock()
@@ -148,14 +149,14 @@ class Guard:
         if self.settings.loopback and _name(host) not in LOCAL:
             raise Problem(
                 403,
-                "The server accepts only requests of this computer, under its own names.",
+                "The server accepts only requests from this computer, addressed to localhost.",
                 where="Host",
                 expected=LOCAL,
             )
         if origin is not None and urlsplit(origin).netloc != host:
-            raise Problem(403, "Requests of pages of other sites are refused.", where="Origin", expected=host)
+            raise Problem(403, "Requests from pages of other sites are refused.", where="Origin", expected=host)
         if any(name.lower() in ("token", "access_token", "api_key") for name in request.query_params):
-            detail = "A token in a URL ends up in server logs. Send it as `Authorization: Bearer`."
+            detail = "A token in a URL is written to the logs of servers. Send the token as `Authorization: Bearer`."
             raise Problem(400, detail, where="query")
         role, who, secret = self._known(headers.get("authorization"), request.cookies.get(SESSION, ""))
         # An unknown sender is identified only by its address, because it may send a different token each time.
@@ -198,7 +199,7 @@ class Guard:
 
 
 def is_form(database: Database, cookies: Mapping[str, str], token: str) -> bool:
-    """Return whether the token of a form belongs to the browser that sends it."""
+    """Return True if the token of a form belongs to the browser that sends the form."""
     own = form_token(database, cookies.get(FORM, ""))
     return FORM in cookies and hmac.compare_digest(own.encode(), token.encode())
 
@@ -211,7 +212,7 @@ def form_token(database: Database, browser: str) -> str:
 class _Body:
     """Body of a request, limited in size and time.
 
-    The time limit applies to the whole body, or for logs to each piece.
+    The time limit applies to the whole body, or to each piece of a body with logs.
     """
 
     def __init__(self, receive: Receive, most: int, wait_s: float, *, whole: bool) -> None:
@@ -232,7 +233,7 @@ class _Body:
 
     async def __call__(self) -> Message:
         if self.ended:
-            return await self.receive()  # waits for the end of the connection
+            return await self.receive()  # this call returns when the connection ends
         try:
             left_s = self.until - time.monotonic() if self.whole else self.wait_s
             message = await asyncio.wait_for(self.receive(), max(left_s, 0.1))
@@ -245,7 +246,7 @@ class _Body:
 
 
 async def _refuse(problem: Problem, scope: Scope, receive: Receive, send: Send) -> None:
-    """Send a problem in such a way that a client that is still sending can read it."""
+    """Send a problem so that even a client that is still sending its request can read it."""
     response = answer(problem)
     accept = Headers(scope=scope).get("accept", "")
     page = scope["method"] == "GET" and not scope["path"].startswith("/api/")
@@ -280,10 +281,10 @@ def _name(host: str) -> str:
 
 
 def cookie(name: str, value: str, secure: bool = False) -> str:
-    """Return the header of a cookie that scripts cannot read, and that requests from other sites contain only if they
-    are links.
+    """Return the header of a cookie that scripts cannot read. From other sites, the cookie is sent only when the user
+    follows a link.
 
-    Its policy sandboxes a report, so that the report counts as another site. The report has a link back to the pages,
-    which needs the cookie. Changes need the token of a form.
+    A report is sandboxed by its policy, so that it counts as another site. Its link back to the pages needs the cookie.
+    Changes additionally need the token of a form.
     """
     return f"{name}={value}; Path=/; HttpOnly; SameSite=Lax" + ("; Secure" if secure else "")

@@ -11,8 +11,8 @@ from typing import Any
 from pipeline.base.errors import UsageError
 
 RATE = 3000
-"""Largest number of requests per minute. It corresponds to 50 per second, more than a page or a program of a lab
-sends."""
+"""Largest number of requests per minute. It corresponds to 50 requests per second, which is more than a page or a
+program of a lab sends."""
 
 
 MOST_CONNECTIONS = 512
@@ -20,8 +20,7 @@ MOST_CONNECTIONS = 512
 
 
 def half_of_files() -> int:
-    """Return the number of permitted connections, which is half of the limit of open files, but at most
-    `MOST_CONNECTIONS`."""
+    """Return the number of permitted connections: half of the limit of open files, and at most `MOST_CONNECTIONS`."""
     try:
         import resource
     except ImportError:  # Windows has no such limit
@@ -32,11 +31,11 @@ def half_of_files() -> int:
 
 LIMITS = {"PIPELINE_MAX_FILE": ("max_file", 1 << 20, 1), "PIPELINE_MAX_REQUEST": ("max_request", 1 << 20, 1),
           "PIPELINE_RATE": ("rate", 1, 0), "PIPELINE_RENEW": ("renew", 1, 0)}  # fmt: skip
-"""Environment variables that set limits. The value is the setting, the unit and the smallest value."""
+"""Environment variables that set limits, each with the name of the setting, the unit and the smallest value."""
 
 
 def limits(environment: Mapping[str, str]) -> dict[str, Any]:
-    """Return the settings given by environment variables.
+    """Return the settings that environment variables define.
 
     Raises
     ------
@@ -63,21 +62,21 @@ class Settings:
     host, port
         Address on which the server listens.
     read_only : bool
-        Whether every change is refused.
+        True if every change is refused.
     max_file, max_request : int
         Largest size of a log, and of a whole request with logs [byte].
     max_files : int
         Largest number of logs in a request.
     rate : int, optional
-        Largest number of requests per minute by a token or from an address. If it is 0, there is no limit. By default,
-        there is no limit on loopback, and the limit is `RATE` elsewhere.
+        Largest number of requests per minute by a token or from an address, or 0 for no limit. By default, there is no
+        limit on loopback, and `RATE` elsewhere.
     renew : bool
-        Whether reports made here are renewed when logs arrive.
+        True if reports made by this server are renewed when logs arrive.
     connections : int
         Largest number of connections that one address may keep open.
     header_s, body_s, theory_s, wait_s : float
         Time limits [s] for the header of a request, for its body, for a computation of theory, and for the time that a
-        request waits for a job. If the body contains logs, ``body_s`` is the longest silence in it.
+        request waits for a job. For a body with logs, ``body_s`` is the longest time between two pieces.
     """
 
     processed: Path
@@ -98,26 +97,25 @@ class Settings:
 
     @property
     def data(self) -> Path:
-        """Folder with uploaded logs and the database.
-
-        It is next to `processed`, not inside it, because an ingest does not search `processed`.
+        """Folder with uploaded logs and the database. This folder is next to `processed`, not inside it, because an
+        ingest does not search `processed`.
         """
         whole = self.processed.absolute()
         return whole.with_name(f"{whole.name}-service")
 
     @property
     def per_minute(self) -> int:
-        """Largest number of requests that one sender may make per minute. If it is 0, there is no limit."""
+        """Largest number of requests that one sender may make per minute, or 0 for no limit."""
         return self.rate if self.rate is not None else 0 if self.loopback else RATE
 
     @property
     def comparisons(self) -> Path:
-        """Folder of the reports requested here, by key."""
+        """Folder of the reports requested from this server. The name of a report is its key."""
         return self.reports / "comparisons"
 
     @property
     def loopback(self) -> bool:
-        """Whether only programs on this computer reach the server."""
+        """True if only programs on this computer can reach the server."""
         if self.host == "localhost":
             return True
         try:

@@ -1,4 +1,4 @@
-"""Resources that all requests share. These are the store, its jobs, and queries of both."""
+"""Resources that all requests share. They are the store, its jobs, and queries of both."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from pipeline.store.samples import load_trial, load_trials
 from pipeline.store.storage import list_devices, list_experiments, read_exclusions, read_trials, split_trials
 
 RETRY_S = 60.0
-"""Time after which a failed computation is repeated when its result is requested [s]."""
+"""Time after which a failed computation is repeated if its result is requested again [s]."""
 
 MOST_REPORTS = 1000
 """Largest number of reports that are listed and renewed."""
@@ -77,7 +77,7 @@ class Service:
         return job
 
     def experiments(self, device: str, asked: list[str] | None) -> list[str]:
-        """Return the named experiments of a device that are stored. If none is named, return all stored experiments."""
+        """Return the stored experiments of a device that are named, or all stored experiments if none is named."""
         devices = list_devices(self.settings.processed)
         if device not in devices:
             raise Problem(404, "There are no trials of this device.", where="device", expected=devices, found=device)
@@ -90,7 +90,8 @@ class Service:
         return [name for name in stored if not asked or name in asked]
 
     def used(self, device: str, asked: list[str] | None) -> list[str]:
-        """Return the experiments of a device that have trials in use. All named experiments must have such trials."""
+        """Return the experiments of a device that have trials in use. If experiments are named, each of them must have
+        such trials."""
         names = self.experiments(device, asked)
         excluded = read_exclusions(self.settings.processed)
         stored = ((name, read_trials(self.settings.processed, device, name)) for name in names if excluded)
@@ -109,7 +110,7 @@ class Service:
         if asked.against:
             self.used(asked.against.device, [asked.against.experiment])
             if len(names) != 1:
-                raise Problem(422, "One experiment is compared against another one.", where="experiments",
+                raise Problem(422, "Exactly one experiment can be compared with another one.", where="experiments",
                               expected="one name", found=names)  # fmt: skip
             request["against"] = asked.against.model_dump()
             self._add_notes(request["against"], asked.against.device, [asked.against.experiment])
@@ -122,7 +123,7 @@ class Service:
         return key, self.job("comparison", wanted, key, who, late)
 
     def renew(self) -> None:
-        """Request again all experiments and reports of which logs were added or excluded."""
+        """Request all experiments and reports again whose logs were added or excluded."""
         for e in self.catalogue.experiments:
             with suppress(Problem, PipelineError):
                 self.experiment(e.device, e.experiment, late=1)
@@ -141,7 +142,7 @@ class Service:
             request["notes"] = [note.model_dump() for note in notes]
 
     def notes(self, device: str, experiment: str) -> list[Note]:
-        """Return the notes on an experiment and its trials. Those on the experiment come first."""
+        """Return the notes on an experiment, followed by the notes on its trials."""
         texts, tags = dict[str | None, str](), dict[str | None, list[str]]()
         for kind, of, value in self.database.all_words():
             if of == ["experiment", device, experiment]:
@@ -159,7 +160,7 @@ class Service:
         return [Note(experiment=experiment, trial_id=trial, tags=own, text=text) for trial, own, text in words]
 
     def excluded(self, of: Sequence[str]) -> dict[str, str]:
-        """Return which trials of a trial or experiment are excluded by hand, and why."""
+        """Return the manually excluded trials of an experiment, or a trial if it is excluded, with the reasons."""
         known = read_exclusions(self.settings.processed).values()
         own = [one for one in known if of[1:] in ([one.trial_id], [one.device, one.experiment])]
         return {one.trial_id: one.exclusion_reason for one in own}
@@ -175,13 +176,13 @@ class Service:
         return self._kept("plan", {"device": device, "experiments": [experiment], "goal": goal})
 
     def drawn(self, what: str, places: Sequence[Sequence[str]], **more: Any) -> Kept:
-        """Return a drawing of trials or experiments (device, experiment, and more)."""
+        """Return a drawing of trials or experiments, given by device, experiment, and possibly the trial."""
         for device, experiment, *_ in places:
             self.used(device, [experiment])
         return self._kept("drawing", {"what": what, "places": [list(place) for place in places], **more})
 
     def optimum(self, of: Sequence[Any], *asked: Any) -> Kept:
-        """Return the point with the lowest cost in theory, for a loop as in `theory.document`."""
+        """Return the point with the lowest theoretical cost, for a loop as in `theory.document`."""
         case_of_loop(of)
         device = {"device": of[0], "experiments": []} if len(of) == 2 else {}
         return self._kept("optimum", {**device, "theory": ["optimum", of, *asked]})
@@ -204,7 +205,11 @@ class Service:
 
     def _may_compute(self) -> None:
         if self.settings.read_only:
-            raise Problem(503, "This has not been computed yet, and the server is read-only.", where="server")
+            raise Problem(
+                503,
+                "This result has not been computed yet, and cannot be computed because the server is read-only.",
+                where="server",
+            )
 
     def samples(self, trial: str) -> tuple[Trial, pa.Table]:
         """Return the conditions and the samples of a trial."""
@@ -214,7 +219,8 @@ class Service:
         return shown, pa.table({name: values for name, values in columns.items() if not np.isnan(values).all()})
 
     def _loaded(self, shown: Trial) -> dict[str, Floats]:
-        """Return the samples of a trial from its last known file. If this file was merged since, search for it."""
+        """Return the samples of a trial from its last known file. If this file has been merged since, search for the
+        trial."""
         processed = self.settings.processed
         if (found := load_trial(processed, shown.id, *self.catalogue.stored_at(shown.id))) is not None:
             return found[1].samples

@@ -16,7 +16,7 @@ from pipeline.service.problems import Problem
 from pipeline.theory.cases import LARGEST, Case, best_wall, case_of, costs_of_walls, limits_of_walls
 
 WAIT_S = 2.0
-"""Longest time for which a request waits for another request [s]. Waiting requests block threads."""
+"""Longest time for which a request waits while another request is computed [s]. Waiting requests block threads."""
 
 
 class Theory:
@@ -33,14 +33,14 @@ class Theory:
         self._lock = threading.Lock()
 
     def compute(self, *asked: Any) -> Any:
-        """Return a document of theory (see `document`). Errors due to the given values are passed on."""
+        """Return a document of theory (see `document`). Errors due to the given values are raised again."""
         if not self._lock.acquire(timeout=WAIT_S):
             raise Problem(503, "The server is computing theory for other users. Try again later.", where="theory")
         try:
             return run_isolated(f"{__name__}:{document.__name__}", *asked, wait_s=self.most_s)
         except IsolationError as error:
             more = "Use the command line, or a shorter delay or fewer points."
-            raise Problem(504, f"This was not computed in {self.most_s:g} s. {more}", where="theory") from error
+            raise Problem(504, f"The computation took longer than {self.most_s:g} s. {more}", where="theory") from error
         finally:
             self._lock.release()
 
@@ -65,7 +65,7 @@ def document(what: str, of: Sequence[Any], *values: Any) -> Any:
     of : sequence
         Argument of `case_of_loop`.
     values
-        Criterion and signal for an optimum, or walls as pairs for points. Walls are in SI units or normalised.
+        Criterion and signal for an optimum, or walls as pairs for points, in SI units or normalised.
     """
     case = case_of_loop(of)
     if what != "points":

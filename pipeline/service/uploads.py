@@ -1,6 +1,6 @@
 """Receive logs by HTTP.
 
-Logs are written while they arrive, then hashed and synced, and only then acknowledged.
+Logs are written while they arrive, then hashed and synced. Only then are they acknowledged.
 
 Each request has a separate folder, so that files that belong together stay together. The job of the request is the
 acknowledgement. A folder without a job was never acknowledged, and is removed when a server starts.
@@ -40,7 +40,7 @@ LONGEST_NAME = 200
 """Largest number of bytes in a component of a stored path."""
 
 DEEPEST = 8
-"""Largest number of folders in a file name. A browser sends their names when a folder is uploaded."""
+"""Largest number of folders in a file name. A browser sends the names of the folders when a folder is uploaded."""
 
 LONGEST_FIELD = 1000
 """Largest number of bytes of a field that is not a file."""
@@ -73,7 +73,7 @@ class Accepted(Record):
 
 @dataclass(frozen=True)
 class _Part:
-    """File of a form as it is stored."""
+    """Stored file of a form."""
 
     name: str
     path: Path
@@ -88,11 +88,11 @@ class _Earlier:
     Parameters
     ----------
     files : set of Path
-        Files of the request that are not stored a second time.
+        Files of the request that are already stored and are not stored again.
     again : dict of str to set of Path
-        Stored path of each log that is read again, and the files of the request of which this log consists.
+        Files of the request that make up each log that is read again, keyed by the stored path of the log.
     versions : dict of str to str
-        Hash of the profile that read each of these logs before. Refused logs have no hash.
+        Hash of the profile that read each of these logs before, except for refused logs.
     """
 
     files: set[Path]
@@ -107,7 +107,7 @@ class Upload:
     ----------
     settings : Settings
     folder : Path, optional
-        Folder for the files of the request. By default, it is a new folder among the uploads.
+        Folder for the files of the request. By default, a new folder is made among the uploads.
     """
 
     def __init__(self, settings: Settings, folder: Path | None = None) -> None:
@@ -118,7 +118,7 @@ class Upload:
         self.files: list[_Part] = []
 
     async def receive(self, request: Request) -> None:
-        """Store the files of a request. If the request is refused, nothing is kept."""
+        """Store the files of a request. If the request is refused, no file is kept."""
         kind = request.headers.get("content-type", "")
         if not kind.startswith("multipart/form-data") or "boundary=" not in kind:
             raise Problem(422, "Send logs as multipart/form-data, in the field `files`.", where="Content-Type")
@@ -146,7 +146,7 @@ class Upload:
             large = error.message.startswith(("Too many", "Part exceeded"))
             raise Problem(413 if large else 422, f"The form cannot be read: {error.message}", where="body") from error
         finally:
-            for file in parser._files_to_close_on_error:  # all, those of a form without an end among them
+            for file in parser._files_to_close_on_error:  # all parts, including those of an incomplete form
                 file.close()
 
     def _store(self, form: FormData) -> None:
@@ -161,7 +161,7 @@ class Upload:
     def _stored(self, name: str, file: UploadFile) -> _Part:
         if (file.size or 0) > self.settings.max_file:
             raise Problem(
-                413, "A log is too large. Nothing was stored of this request.", where=name,
+                413, "A log is too large. No file of this request was stored.", where=name,
                 expected=f"<= {self.settings.max_file}",
             )  # fmt: skip
         path = self.folder.joinpath(*_parts(name))
@@ -190,7 +190,7 @@ class Upload:
             listed.append(UploadedFile(name=part.name, size=part.size, sha256=part.sha256, state=state))
         self._sync([part.path for part in new])
         with database.transaction():
-            for path in earlier.again:  # a refused log belongs to this profile from now on
+            for path in earlier.again:  # from now on, a refused log belongs to this profile
                 database.run("UPDATE uploads SET profile = ? WHERE path = ?", profile, path)
             for part in new:
                 place = (self.name, str(part.path), part.name)
@@ -204,9 +204,9 @@ class Upload:
     def _earlier(self, database: Database, profile: str, own: str | Path | None) -> _Earlier:
         """Return the files of this request that the service already has, and the logs that an ingest has to read again.
 
-        The name and the neighbouring files decide how a log is read. A log is therefore known if all of its files were
-        uploaded together under these names. A log with the same content that an earlier version of its profile read is
-        known under any path.
+        The reading of a log depends on its name and on the neighbouring files. A log is therefore known if all of its
+        files were uploaded together under the same names. A log with the same content that an earlier version of its
+        profile read is known under any path.
         """
         earlier = _Earlier(set(), {}, {})
         parts = {part.path: part for part in self.files}
@@ -219,7 +219,7 @@ class Upload:
             files = [file for file in source.files if file in parts]
             names = tuple((file.name, parts[file].sha256) for file in files)
             places = [self._places(database, sha256, profile, name, refused_folders) for name, sha256 in names]
-            # a bag is a folder, any other log a file in it
+            # a bag is a folder, and any other log is a file in this folder
             inside = () if source.path in {file.parent for file in files} else (source.path.name,)
             folders = sorted(set.intersection(*places)) if places else []
             former = [path_text(os.path.abspath(folder.joinpath(*inside))) for folder in folders]
@@ -237,8 +237,8 @@ class Upload:
         return earlier
 
     def _places(self, database: Database, sha256: str, profile: str, name: str, refused: set[Path]) -> set[Path]:
-        """Return the folders that contain a file with this content and name, if it was uploaded for the same profile or
-        refused."""
+        """Return the folders that contain a file with this content and name, if the file was uploaded for the same
+        profile or refused."""
         rows = database.run(
             "SELECT path, job, profile FROM uploads JOIN jobs ON jobs.id = uploads.job WHERE sha256 = ? "
             "AND state NOT IN ('cancelled', 'failed')",
@@ -249,7 +249,7 @@ class Upload:
         return {path.parent for path in usable if path.name == name and path.is_file()}
 
     def _path(self, job: str, path: str) -> Path:
-        """Return the path of an upload, even if folders were moved since."""
+        """Return the path of an upload, even if folders have been moved since."""
         return self.settings.data / "logs" / job / path.rpartition(f"{os.sep}{job}{os.sep}")[2]
 
     def _sync(self, files: list[Path]) -> None:
@@ -267,14 +267,15 @@ def _twin(source: Source, hashes: list[str], trial_paths: Mapping[str, str]) -> 
 
 
 def _is_current(stored: StoredSource | None, source: Source, twin: str | None) -> bool:
-    """Return whether a log is stored as its profile reads it now, under this path or otherwise under another path."""
+    """Return True if a log is stored as its current profile reads it, under this path or, failing that, under another
+    path."""
     if stored is None:
         return twin is not None
     return stored.whole and stored.profile_sha256 == source.profile_sha256
 
 
 def _is_outdated(stored: StoredSource | None, source: Source, path: str) -> bool:
-    """Return whether another version of the same profile read a log whose files are still those that were read."""
+    """Return True if a different version of the same profile read a log whose files are unchanged since."""
     if stored is None or source.profile is None or stored.profile != source.profile.name:
         return False
     if stored.profile_sha256 == source.profile_sha256:
@@ -287,9 +288,8 @@ def _is_outdated(stored: StoredSource | None, source: Source, path: str) -> bool
 async def received(
     settings: Settings, request: Request, check: Check, folder: Path | None = None
 ) -> AsyncGenerator[Upload, None]:
-    """Store the files of a request for a block; remove them if it fails.
-
-    ``check`` inspects the fields of the form first.
+    """Store the files of a request, and remove them if the block fails. Before the block, ``check`` inspects the fields
+    of the form.
     """
     upload = Upload(settings, folder)
     try:
@@ -304,23 +304,21 @@ async def received(
 
 
 def _parts(name: str) -> list[str]:
-    """Split a name in a request into the names of folders and of a file.
-
-    None of them leads outside the upload folder.
+    """Split a name in a request into the names of folders and of a file. None of the names leads outside the upload
+    folder.
     """
     parts = [folder_name(part) for part in name.replace("\\", "/").split("/") if part]
     if not parts or len(parts) > DEEPEST or any(len(part.encode()) > LONGEST_NAME for part in parts):
         raise Problem(
-            422, "The name of a file is too long, or too deep.", where=name[:LONGEST_NAME],
+            422, "The name of a file is too long, or contains too many folders.", where=name[:LONGEST_NAME],
             expected=f"at most {DEEPEST} parts of {LONGEST_NAME} bytes",
         )  # fmt: skip
     return parts
 
 
 def remove_unacknowledged(settings: Settings, database: Database) -> None:
-    """Remove the folders of uploads that were interrupted before they had a job.
-
-    A server calls this function when it starts.
+    """Remove the folders of uploads that were interrupted before they had a job. A server calls this function at its
+    start.
     """
     folder = settings.data / "logs"
     if folder.is_dir():

@@ -2,8 +2,9 @@
 
 A process is run as ``python -m pipeline.service.workers PROCESSED REPORTS KINDS``, of which the last argument is one of
 `database.WORKS`. A byte on standard input signals that a job is waiting. The end of file signals that the server has
-ended. Then the process ends, too, and another process takes the job when its lease has expired. Job functions write
-atomically and can be repeated. One thread requests renewed reports once nothing else waits, and removes old files.
+ended. The process then ends as well, and another process takes its job when the lease has expired. Job functions write
+atomically and can be repeated. A thread of the server requests the renewal of reports when no other job is waiting, and
+removes old files.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ LOOK_S, TIDY_S = 1.0, 3600.0
 
 
 class Workers:
-    """Workers of a server. They end when the server ends, even if it is killed."""
+    """Workers of a server. They end when the server ends, even if the server is killed."""
 
     def __init__(self, settings: Settings, database: Database) -> None:
         self.settings, self.database = settings, database
@@ -41,7 +42,7 @@ class Workers:
         self._ended = threading.Event()
 
     def start(self, renew: Callable[[], None]) -> None:
-        """Start all workers. The function ``renew`` requests that reports be renewed."""
+        """Start all workers. The function ``renew`` requests the renewal of reports."""
         for kinds in WORKS:
             threading.Thread(target=self._keep, args=(kinds,), daemon=True).start()
         threading.Thread(target=self._renew, args=(renew,), daemon=True).start()
@@ -58,7 +59,7 @@ class Workers:
             try:
                 assert process.stdin is not None
                 process.stdin.write(b"\n")
-            except OSError:  # the process has just ended, and its successor polls by itself
+            except OSError:  # the process has just ended, and its successor polls for jobs anyway
                 pass
 
     def _keep(self, kinds: str) -> None:
@@ -120,7 +121,7 @@ def _beating(database: Database, job: str, owner: str) -> Iterator[Callable[[obj
     def beat() -> None:
         while not done.wait(BEAT_S):
             if not database.heartbeat(job, owner, progress[0]):
-                # the job was cancelled; readers ignore the names of incomplete files
+                # The job was cancelled. Incomplete files are harmless, because readers ignore their names.
                 os._exit(EXIT_ERROR)
         database.close()
 
@@ -134,7 +135,7 @@ def _beating(database: Database, job: str, owner: str) -> Iterator[Callable[[obj
 
 
 def work(settings: Settings, database: Database, owner: str, kinds: str = " ".join(WORKS)) -> bool:
-    """Execute the next job, and return whether there was one."""
+    """Execute the next job. Return False if no job is waiting."""
     job = database.claim(owner, kinds)
     if job is None:
         return False
@@ -156,7 +157,7 @@ def work(settings: Settings, database: Database, owner: str, kinds: str = " ".jo
             database.finish(job.id, owner, problem={"title": "The job failed", "status": 500, "detail": detail})
             raise
     if job.kind != "stages" and database.job_counts(f"kind = 'stages' AND created > {begun}"):
-        # it may have overwritten current stages with those of earlier trials
+        # this worker may have overwritten current stages with stages of earlier trials
         database.add_job("stages", {}, "stages")
     database.finish(job.id, owner, result, problem)
     return True

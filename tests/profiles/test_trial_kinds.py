@@ -129,7 +129,7 @@ def test_a_kind_that_the_motion_contradicts_is_warned_of(call, tmp_path):
     for kind, told in (("release", True), ("hit", False)):
         (tmp_path / "lab.toml").write_text(PROFILE.replace("KIND", kind) + walls_of)
         _, out, _ = call("profile", "check", "lab.toml", "a.csv")
-        assert ("kind is 'release', but the log shows a hit. Check which is right" in out) == told
+        assert ("kind is 'release', but the log shows a hit. Check which of the two is right" in out) == told
         assert "none: the device is hit at 0.012 s" in out
 
 

@@ -272,9 +272,9 @@ def test_a_check_warns_of_another_unit_or_step_and_of_a_motion_against_it(tmp_pa
     micro = TOML.replace('unit = "ms"', 'unit = "us"').replace("0.001", "1e-6")
     (warning, *implausible) = checked(tmp_path, micro, rows)
     assert [text.split()[0] for text in implausible] == ["sampling_period_s", "duration_s"]
-    assert warning == "columns.time.unit is 'us', but the file states 'ms'. Check which is right"
+    assert warning == "columns.time.unit is 'us', but the file states 'ms'. Check which of the two is right"
     (warning,) = checked(tmp_path, TOML.replace("step = 8", "step = 9"), rows)
-    assert warning == "the command jumps by 8 in row 5, but the step is 9. Check which is right"
+    assert warning == "the command jumps by 8 in row 5, but the stated step is 9. Check which of the two is right"
     (warning,) = checked(tmp_path, TOML.replace('"mm", sign = 1', '"mm", sign = -1'), rows)
     assert warning.startswith("The position moves against its command, first in row")
 

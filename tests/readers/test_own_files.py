@@ -290,8 +290,8 @@ def test_other_samples_are_held_against_the_first(tmp_path):
     done = pipeline("profile", "draft", *files, semicolons)
     assert done.exit_code == 0
     assert "# K200_B1.csv" not in done.output
-    assert '# K300_B1.csv has another layout: columns = ["t", "F", "x", "note"]' in done.output
-    assert "# K400_B1.csv has another layout: " in done.output
+    assert '# K300_B1.csv has a different layout: columns = ["t", "F", "x", "note"]' in done.output
+    assert "# K400_B1.csv has a different layout: " in done.output
     assert 'delimiter = ";"' in done.output
 
 

@@ -211,7 +211,7 @@ def test_an_arm_in_place_of_the_operator_of_a_file_is_reported(tmp_path: Path) -
     assert json.loads(alone.stdout)["operator_replaced"] is None
     assert json.loads(with_arm.stdout)["operator_replaced"] == {"mass": 20.0, "damping": 1.0, "stiffness": 0.0}
     text = CliRunner().invoke(application("design"), [*command, "--hand", "hogan"]).stdout
-    assert "The arm replaces the operator of 20 kg in the device file." in text
+    assert "The arm replaces the operator in the device file (20 kg)." in text
 
 
 def test_the_load_of_a_mode_keeps_its_share_of_a_changed_damping() -> None:

@@ -97,7 +97,7 @@ def test_an_unknown_unit_in_a_heading_is_quoted_and_a_torque_moves_an_angle(call
 def test_logs_of_another_layout_are_named(call, tmp_path):
     write_turned(tmp_path / "motor", TURNED, semicolon=(1, 3))
     err = call("start", "motor", "--yes", "--store-only")[2]
-    assert "warning: 2 of 5 inspected logs have another layout, first K1200_B6.csv." in err
+    assert "warning: 2 of 5 inspected logs have a different layout, the first of them K1200_B6.csv." in err
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no pseudo-terminals")
@@ -219,9 +219,9 @@ def test_a_terminal_asks_what_is_open_and_enter_accepts(tmp_path):
     status, shown, left = in_terminal(tmp_path, ["", "mm"], "bench", "--store-only")
     assert (status, left) == (0, []), shown
     assert "2 open questions. Enter accepts the proposal in brackets." in shown
-    assert "columns.command.unit: the file does not state it." in shown
+    assert "columns.command.unit: the file does not state the unit." in shown
     assert walls_of(tmp_path) == sorted(WALLS)
-    assert "To repeat it without questions:\n  pipeline ingest bench --profile bench.toml" in shown
+    assert "To repeat these steps without questions:\n  pipeline ingest bench --profile bench.toml" in shown
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no pseudo-terminals")
@@ -238,7 +238,10 @@ def test_what_a_command_obeys_may_be_taken_for_a_wrong_number(tmp_path):
     many(tmp_path / "bench")
     status, shown, left = in_terminal(tmp_path, ["y"], "bench", "--store-only")
     assert (status, left) == (0, []), shown
-    assert "1 log with a wrong number: store the gains that the command follows? Otherwise omitted [y/N]: y" in shown
+    assert (
+        "1 log with a wrong number. Store the gains that the command follows? If not, the logs are omitted [y/N]: y"
+        in shown
+    )
     stored = {row["damping"]: row["stiffness"] for row in read_trials(tmp_path / "processed").to_pylist()}
     assert (len(stored), stored[10.0]) == (10, 2900.0)
     assert read_profile(tmp_path / "bench.toml").file[0].stiffness == 2.9

@@ -280,7 +280,7 @@ def test_logs_that_came_later_are_left_out(original, desk, tmp_path):
     assert report.ingested == 1, report
     found = verify.verify(desk.report, desk.processed)
     assert found.equal
-    assert found.notes == ("experiment 1: 1 trials were stored later and are not used",)
+    assert found.notes == ("experiment 1: 1 trials were stored after the report and are not used",)
 
 
 @pytest.mark.slow

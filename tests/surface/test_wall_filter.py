@@ -161,7 +161,7 @@ def test_a_delay_that_jitters_is_named_and_drawn_in_the_device_file(tmp_path):
     out = tmp_path / "arm.toml"
     result = CliRunner().invoke(application("identify"), ["identify", str(folder), "--out", str(out)])
     assert result.exit_code == 0, result.output
-    assert "The delay jitters: standard deviation 0.7" in result.output
+    assert "The delay jitters with a standard deviation of 0.7" in result.output
     assert "not included in linear theory: jitter" in result.output
     device = read_device(out)
     assert device.experiments[0].jitter_samples == (2, 3, 4)

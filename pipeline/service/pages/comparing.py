@@ -64,7 +64,7 @@ def compare(service: Shared, request: Request, runs: Runs = [], plane: Plane = "
 def plan(
     service: Shared, request: Request, run: str = "", goal: Literal["boundary", "optimum"] = "boundary"
 ) -> Response:
-    """Show the next walls of an experiment, their purpose, and the accuracy of its limits so far."""
+    """Show the next walls of an experiment, their purpose, and the current accuracy of the limits."""
     known = [run_of(e.device, e.experiment) for e in service.catalogue.experiments]
     chosen = run or next(iter(known), "")
     if run and run not in known:
@@ -84,10 +84,9 @@ def plan(
 
 
 def planes(runs: Sequence[Run]) -> dict[str, str]:
-    """Return the titles of the planes in which limits can be drawn over each other, by the names of the planes.
-
-    There is a plane of K and B if all experiments have the same kind of motion, and one of alpha and beta if all masses
-    are known.
+    """Return the titles of the planes in which limits can be superimposed, keyed by the names of the planes. The plane
+    of K and B requires that all experiments have the same kind of motion. The plane of alpha and beta requires that all
+    masses are known.
     """
     found = {}
     if runs and len({document["motion"] for *_, document in runs}) == 1:
@@ -98,16 +97,15 @@ def planes(runs: Sequence[Run]) -> dict[str, str]:
 
 
 def differences(first: Run, second: Run) -> tuple[PairDifference | None, str]:
-    """Return the differences of two experiments, second minus first.
-
-    If they are not comparable, return None and the reason.
+    """Return the differences of two experiments, second minus first. If the experiments are not comparable, return None
+    and the reason.
     """
     scales = None
     if first[0] != second[0]:
         own, others = _units(first[2]), _units(second[2])
         if own is None or others is None:
             return None, (
-                "two devices are compared in the plane of α and β, which requires the mass of each; one of them "
+                "two devices are compared in the plane of α and β, which requires the mass of both, but one of them "
                 "has neither a device file nor an estimated mass"
             )
         scales = own, others

@@ -32,7 +32,7 @@ from pipeline.store.names import folder_name
 HERE = Path(__file__).parent
 
 LONGEST_REASON = 90
-"""Largest number of characters of a refusal in the list of jobs."""
+"""Largest number of characters of the reason for a refusal in the list of jobs."""
 
 LOOK_S = 0.02
 """Polling interval for a job that a page waits for [s]."""
@@ -74,7 +74,8 @@ def _short(value: float | None) -> str:
 
 
 def _in_digits(estimate: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Return the value of an estimate and the ends of its interval, with as many digits as the interval justifies."""
+    """Return the value of an estimate and the ends of its interval, with as many digits as the width of the interval
+    justifies."""
     return labels.estimate_texts(Estimate.model_validate(estimate))
 
 
@@ -126,14 +127,13 @@ def _about(job: Job) -> str:
 
 
 def _sorting(state: Mapping[str, str], name: str) -> str:
-    """Return the address of the same trials sorted by a column.
-
-    If they are already sorted by it, the order is reversed.
+    """Return the address of the same trials sorted by a column. If the trials are already sorted by this column, the
+    order is reversed.
     """
     return urlencode({**state, "sort": f"-{name}" if state["sort"] == name else name})
 
 
-@lru_cache(maxsize=4096)  # each row of a list has two
+@lru_cache(maxsize=4096)  # each row of a list has two names
 def segment(name: str) -> str:
     """Return a name as a part of an address. A name with special characters is quoted twice."""
     return quote(folder_name(name), safe="")
@@ -150,7 +150,7 @@ def experiment_url(device: str, experiment: str) -> str:
 
 
 def _rest(of: Sequence[str]) -> str:
-    """Return the REST address of a trial, an experiment or a device, given by this word and its names."""
+    """Return the REST address of a trial, an experiment or a device, given by the kind of object and its names."""
     return "/".join((f"{of[0]}s", *map(segment, of[1:])))
 
 
@@ -167,14 +167,14 @@ def page_of(service: Service, request: Request, template: str, status: int = 200
 
 
 def part_of(template: str, **content: object) -> Markup:
-    """Return a part of a page that is the same for all users."""
+    """Render a part of a page that is the same for all users."""
     return Markup(_environment().get_template(template).render(**content))
 
 
 def check(service: Service, request: Request, token: str) -> None:
-    """Refuse a form that this server did not issue to this browser."""
+    """Raise a problem if this server did not issue a form to this browser."""
     if not is_form(service.database, request.cookies, token):
-        raise Problem(403, "The form is not from this server, or it is too old. Reload the page.", where="form")
+        raise Problem(403, "The form is not from this server, or is too old. Reload the page.", where="form")
 
 
 async def fields_of(request: Request) -> dict[str, list[str]]:
@@ -216,5 +216,5 @@ def kept(service: Service, ask: Callable[[], Kept], wait_s: float = 0.0) -> Wait
 
 
 def busy(job: Job | None) -> bool:
-    """Return whether a job has not ended."""
+    """Return True if a job has not ended."""
     return job is not None and not job.has_ended

@@ -1,5 +1,5 @@
-"""Pages and forms for human users. Pages are rendered on the server and usable without scripts, and their address
-contains their state."""
+"""Pages and forms for human users. Pages are rendered on the server and can be used without scripts. The address of a
+page contains its state."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from pipeline.store.corrections import in_bin
 pages = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
 
 PLOTTABLE = ("stiffness", "damping", *REPORTED)
-"""Quantities of a trial that are plotted over each other."""
+"""Quantities of a trial that can be plotted against each other."""
 
 SHOWN, LISTED, OVERLAID = 100, 20, 6
 """Largest number of trials in a table, on the page of an experiment, and in an overlay."""
@@ -57,7 +57,7 @@ _STATE = {*WORDS, *api.RANGES, "q", "sort"}
 """Query parameters that select the listed trials."""
 
 WAITED_S = 0.9
-"""Longest time that a page waits for its drawing [s]. A worker that has already loaded the experiment takes less
+"""Longest time for which a page waits for its drawing [s]. A worker that has already loaded the experiment takes less
 time."""
 
 PLOTTED = 3000
@@ -87,7 +87,8 @@ def static(name: str) -> Response:
 
 @pages.get("/")
 def home(service: Shared, request: Request) -> Response:
-    """Show the devices and their experiments. Each experiment has its picture, the verdict of theory and its tags."""
+    """Show the devices and their experiments. Each experiment is shown with a picture, its tags, and a statement about
+    the agreement with theory."""
     all_ = service.catalogue
 
     def cards() -> Markup:
@@ -120,7 +121,8 @@ def one_device(service: Shared, request: Request, device: Segment) -> Response:
 
 @pages.get("/devices/{device}/file")
 def one_device_file(service: Shared, request: Request, device: Segment, download: bool = False) -> Response:
-    """Show the file of a device, or a draft made from the logs, for editing. On request, return it as a file."""
+    """Show the file of a device, or a draft made from the logs, for editing. With ``download``, return the text as a
+    file."""
     try:
         text, problem = device_files.text_of(device), ""
     except Problem as none:
@@ -130,7 +132,7 @@ def one_device_file(service: Shared, request: Request, device: Segment, download
             raise
         plain = {name: part for name, part in (document or {}).items() if name not in ("causes", "figures", "told")}
         text = device_files.draft(device, ComparisonResult.model_validate(plain) if plain else None)
-        problem = f"{none} Below is a draft from its logs."
+        problem = f"{none} A draft made from its logs is shown below."
     if download:
         name = {"content-disposition": f"attachment; filename*=UTF-8''{quote(device, safe='')}.toml"}
         return Response(text, media_type="application/toml", headers=name)
@@ -163,7 +165,7 @@ async def keep_device_file(service: Shared, request: Request, who: Who, device: 
 
 
 class TrialView(BaseModel):
-    """Selection of the trials and quantities that the page of an experiment lists and plots."""
+    """Selection of the trials that the page of an experiment lists, and of the quantities that it plots."""
 
     verdict: str = ""
     tag: str = ""
@@ -211,7 +213,7 @@ def chosen_of(trials: Sequence[Trial], view: TrialView) -> list[Trial]:
 
 
 def number_of(trial: Trial, quantity: str) -> float | None:
-    """Return a quantity of a trial: K, B, or a cost as it is printed."""
+    """Return a quantity of a trial: K, B, or a cost in printed units."""
     if quantity in REPORTED:
         cost = trial.costs.get(quantity)
         return None if cost is None else cost.value * printed_scale(quantity)
@@ -246,7 +248,7 @@ def scatter(trials: Sequence[Trial], x: str, y: str) -> Markup:
 
 @pages.post("/marked")
 def marked(service: Shared, who: Who, fields: Fields) -> Response:
-    """Superimpose the chosen trials, exclude them, or tag them."""
+    """Superimpose, exclude or tag the chosen trials."""
     chosen, act = fields.get("trial", []), fields.get("act", [""])[0]
     if act == "overlay":
         return RedirectResponse(f"/overlay?{urlencode({'trial': chosen}, doseq=True)}", 303)
@@ -258,7 +260,7 @@ def marked(service: Shared, who: Who, fields: Fields) -> Response:
 
 
 def answer_of(document: Mapping[str, Any] | None) -> Answer | None:
-    """Return the answer in a document of the service, or None if the document is not yet computed."""
+    """Return the answer in a document of the service, or None if the document has not been computed yet."""
     told = (document or {}).get("answer")
     return Answer.model_validate(told) if told else None
 
@@ -288,7 +290,7 @@ def clickable(drawn: Mapping[str, Any], trials: Sequence[Trial]) -> Markup:
 
 
 class TrialForm(api.TrialQuery):
-    """Query of the list of trials as a form sends it. An empty field is ignored, and an unknown field is refused."""
+    """Query of the list of trials, as sent by a form. An empty field is ignored, and an unknown field is refused."""
 
     sort: Literal[SORTED] = "-recorded"  # type: ignore[valid-type]
     format: Literal["", "csv", "all"] = ""
@@ -326,10 +328,10 @@ def trials(service: Shared, request: Request, asked: Annotated[TrialForm, Query(
 
 @pages.get("/overlay")
 def overlay(service: Shared, request: Request, trial: Annotated[list[str], Query(max_length=50)] = []) -> Response:  # noqa: B006
-    """Show the superimposed responses of chosen trials, with those of theory."""
+    """Show the superimposed responses of chosen trials, with the theoretical responses."""
     chosen = list(dict.fromkeys(trial))
     if not 1 <= len(chosen) <= OVERLAID:
-        raise Problem(422, "Choose one to six trials with their check boxes.", where="trial", found=len(chosen))
+        raise Problem(422, "Choose one to six trials by their check boxes.", where="trial", found=len(chosen))
     found = [service.found(one) for one in chosen]
     places = [(one.device, one.experiment, one.id) for one in found]
     return page_of(
@@ -343,7 +345,7 @@ def overlay(service: Shared, request: Request, trial: Annotated[list[str], Query
 
 @pages.get("/trials/{trial}")
 def one_trial(service: Shared, request: Request, trial: str) -> Response:
-    """Show the response of a trial with theory and fitted loop, and its results."""
+    """Show the response of a trial with theory and with the fitted loop, and the results of the trial."""
     about = service.found(trial)
     place = about.device, about.experiment, trial
     shown = kept(service, lambda: service.drawn("trials", [place]), WAITED_S)
@@ -353,7 +355,7 @@ def one_trial(service: Shared, request: Request, trial: str) -> Response:
 
 @pages.get("/upload")
 def upload(service: Shared, request: Request, profile: str = "") -> Response:
-    """Show the form for uploading logs, in which a profile is preselected."""
+    """Show the form for uploading logs, with a preselected profile."""
     known = profiles.names(service.settings)
     return page_of(service, request, "upload.html.j2", profiles=known, profile=profile, settings=service.settings)
 
@@ -375,7 +377,7 @@ async def draft(service: Shared, request: Request) -> Response:
 
 @pages.post("/profile")
 def profile(service: Shared, request: Request, who: Who, fields: Fields) -> Response:
-    """Try a profile on its sample, or store it."""
+    """Try a profile on its sample, or store the profile."""
     answers = {int(key[7:]): value for key, (value, *_) in fields.items() if re.fullmatch(r"answer-\d+", key)}
     given = {name: fields.get(name, [""])[0] for name in ("profile", "sample", "name", "act", "confirmation")}
     text = profiles.answered(given["profile"].replace("\r\n", "\n"), answers)
@@ -398,7 +400,7 @@ def profile(service: Shared, request: Request, who: Who, fields: Fields) -> Resp
 
 
 def _unclear(problem: Problem) -> str:
-    """Return the reason why a profile needs a confirmation. The text is empty if a confirmation does not help."""
+    """Return the reason why a profile needs a confirmation, or an empty text if a confirmation would not help."""
     about = problem.document
     if problem.status == 404 and about.get("where") == "sample":
         return "The sample is no longer stored, so the profile cannot be tried on it."
@@ -440,7 +442,7 @@ def reports(service: Shared, request: Request) -> Response:
 
 @pages.get("/theory")
 def theory(service: Shared, request: Request) -> Response:
-    """Show the explorer, which presents the theory of a loop with sliders. It can start from each known device."""
+    """Show the explorer, which presents the theory of a loop with sliders, starting from any known device."""
     panel = Markup(explorer.panel(device_entries(known_devices().values())))
     return page_of(service, request, "theory.html.j2", panel=panel)
 
@@ -455,7 +457,7 @@ def audit(service: Shared, request: Request, before: int = NEWEST) -> Response:
 
 @pages.get("/api")
 def readable(service: Shared, request: Request) -> Response:
-    """Show the API, from its schema."""
+    """Show the documentation of the API, made from its schema."""
     return page_of(service, request, "api.html.j2", schema=request.app.openapi())
 
 
@@ -479,8 +481,8 @@ _KEPT = (b"host", b"cookie", b"origin", b"x-forwarded-proto")
 async def do(service: Shared, request: Request, fields: Fields) -> Response:
     """Execute the REST request of a form, and redirect to the next page. An error is shown as a page.
 
-    Its fields are those of the document (`_document`), and ``method``, ``path`` below the API, ``match`` (the
-    ETag that was known) and ``next``, in which ``{field}`` stands for a name.
+    The form has the fields of the document (`_document`), and the fields ``method``, ``path`` below the API, ``match``
+    (the known ETag) and ``next``, in which ``{field}`` is replaced by the value of a field.
     """
     method, path, token = (fields.pop(name, [""])[0] for name in ("method", "path", "form"))
     known, following = (fields.pop(name, [usual])[0] for name, usual in (("match", "*"), ("next", "/")))
@@ -516,7 +518,8 @@ async def do(service: Shared, request: Request, fields: Fields) -> Response:
 def _document(fields: Mapping[str, list[str]]) -> JsonObject:
     """Return a form as a document.
 
-    ``x[]`` has all values, ``x{}`` them as name=text, ``x,`` a list of words, ``x?`` null where it is empty.
+    The end of a field name determines the type: all values (``x[]``), an object from values name=text (``x{}``), a list
+    of words separated by commas (``x,``), or null for an empty field (``x?``).
     """
     found: JsonObject = {}
     for name, values in fields.items():
@@ -564,7 +567,7 @@ def _door(service: Shared, request: Request, status: int) -> Response:
 
 
 def _own(address: str) -> str:
-    """Return the requested page if it belongs to this server, otherwise the start page.
+    """Return the address of the requested page if it belongs to this server, otherwise that of the start page.
 
     Browsers read a backslash as a slash, drop blanks, and read two slashes as another server.
     """

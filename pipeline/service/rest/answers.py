@@ -1,4 +1,4 @@
-"""Answers of the API, for its schema: a record of each document, and the problems that any route may return."""
+"""Answers of the API, for its schema: a record for each document, and the problems that any route may return."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Item = TypeVar("Item")
 
 
 class Page(Record, Generic[Item]):
-    """A page of a list; without `next_cursor` the last one."""
+    """A page of a list. The last page has no `next_cursor`."""
 
     items: list[Item]
     next_cursor: str | None
 
 
 class Health(Record):
-    """State of the server, and numbers of jobs by state."""
+    """State of the server, and the number of jobs in each state."""
 
     state: Literal["ok"]
     version: str
@@ -42,14 +42,14 @@ class NotedTrial(Trial):
 
 
 class TrialPage(Page[Trial]):
-    """A page of a list of trials, with the total number, and the number for each property."""
+    """A page of a list of trials, with the total number, and the number of trials for each property."""
 
     total: int
     facets: dict[str, dict[str, int]]
 
 
 class Samples(Record):
-    """Samples of a trial, columns in SI; null if a row has none."""
+    """Samples of a trial, as columns in SI. A row without a value has null."""
 
     trial: Trial
     units: dict[str, str]
@@ -88,7 +88,8 @@ class Deleted(Record):
 
 
 class Draft(Record):
-    """A drafted profile as TOML, its open questions with line and key, and the name of the sample for previews."""
+    """A drafted profile as TOML, its open questions with their lines and keys, and the name of the sample for
+    previews."""
 
     sample: str
     profile: str
@@ -115,11 +116,11 @@ PARTS: dict[str, object] = {
     "optima": dict[str, Optimum],
     "causes": list[Cause],
 }
-"""Parts of an experiment's document, with a description of each."""
+"""Parts of the document of an experiment, with their descriptions."""
 
 
 def problems(*statuses: int) -> dict[int | str, JsonObject]:
-    """Return answers by status that are problem documents, for the schema of a route."""
+    """Return the answers of a route that are problem documents, keyed by status, for the schema."""
     schema = {"$ref": f"#/components/schemas/{ProblemDocument.__name__}"}
     return {status: {"description": TITLES[status], "content": {MEDIA: {"schema": schema}}} for status in statuses}
 
@@ -135,7 +136,7 @@ LATER: dict[int | str, JsonObject] = {202: {"description": "It takes longer.", "
 
 
 def only_known(request: Request) -> None:
-    """Refuse an unknown query parameter: a mistyped filter would select everything."""
+    """Refuse an unknown query parameter, because a mistyped filter would select everything."""
     operation = request.app.openapi()["paths"][request.scope["route"].path][request.method.lower()]
     refuse_unknown(request.query_params, [p["name"] for p in operation.get("parameters", ()) if p["in"] == "query"])
 
@@ -148,7 +149,7 @@ def refuse_unknown(given: Iterable[str], known: Collection[str]) -> None:
 
 
 def describe(app: FastAPI) -> JsonObject:
-    """Return the schema of the API; that of problems belongs to no route, and is added here."""
+    """Return the schema of the API. The schema of problems belongs to no route, and is therefore added here."""
     if app.openapi_schema is None:
         schema = get_openapi(title=app.title, version=app.version, routes=app.routes)
         schema["components"]["schemas"][ProblemDocument.__name__] = ProblemDocument.model_json_schema()

@@ -50,7 +50,7 @@ BACK = (
     '<p style="margin: 0; padding: .75rem 1.25rem 0"><a href="/reports">All reports</a> · '
     '<a href="/">Experiments</a></p>'
 )
-"""Link back from a report, which has no reference to a server."""
+"""Link back to the pages, added to a report because a report has no reference to a server."""
 
 Limit = Annotated[int, Query(ge=1, le=MOST, description="Number of items on a page.")]
 Name = Annotated[str, Query(max_length=500)]
@@ -63,7 +63,7 @@ Segment = Annotated[str, AfterValidator(name_of_folder)]
 Word = Annotated[str, Field(max_length=500)]
 FiniteNumber = Annotated[float, Field(allow_inf_nan=False)]
 RANGES = ("stiffness_min", "stiffness_max", "damping_min", "damping_max")
-"""Parts of a `TrialQuery` that bound properties."""
+"""Fields of a `TrialQuery` that limit the range of properties."""
 
 
 def files_of(**fields: JsonObject) -> JsonObject:
@@ -77,12 +77,12 @@ LOGS = files_of(profile={"type": "string", "maxLength": 100})
 
 
 def cursor(value: object) -> str | None:
-    """Return a place in a list encoded for an address; None stays None."""
+    """Return a place in a list, encoded for an address. None stays None."""
     return None if value is None else base64.urlsafe_b64encode(json.dumps(value).encode()).decode()
 
 
 def place(word: str | None, kinds: tuple[type, ...]) -> Any:
-    """Return the place that a cursor encodes, which is a list with items of the given types. None stays None."""
+    """Return the place that a cursor encodes: a list with items of the given types. None stays None."""
     if word is None:
         return None
     with suppress(ValueError):
@@ -95,7 +95,7 @@ def place(word: str | None, kinds: tuple[type, ...]) -> Any:
 def latest(
     read: Callable[[int, int], tuple[list[answers.Item], int | None]], limit: int, word: str | None
 ) -> answers.Page[answers.Item]:
-    """Return a page of a list by number (`Database.latest`), and the cursor of the next one."""
+    """Return a page of a list ordered by number (`Database.latest`), and the cursor of the next page."""
     items, last = read((place(word, (int,)) or [NEWEST])[0], limit)
     return answers.Page(items=items, next_cursor=cursor(None if last is None else [last]))
 
@@ -104,7 +104,7 @@ Named = TypeVar("Named", Device, Experiment)
 
 
 def parted(items: list[Named], names: tuple[str, ...], limit: int, word: str | None) -> answers.Page[Named]:
-    """Return a page of a list sorted by names, after those of a cursor, and the next cursor."""
+    """Return the page after a cursor of a list sorted by names, and the cursor of the next page."""
     after = place(word, (str,) * len(names))
     keys = [tuple(natural_key(getattr(item, name)) for name in names) for item in items]
     behind = None if after is None else tuple(map(natural_key, after))
@@ -133,7 +133,7 @@ class TrialQuery(BaseModel):
 def trial_list(catalogue: Catalogue, query: TrialQuery, limit: int, word: str | None) -> answers.TrialPage:
     """Return a page of trials with facets, as the API and the pages show it.
 
-    It has at most ``limit`` trials, which follow those of the page with the cursor ``word``.
+    The page has at most ``limit`` trials, starting at the cursor ``word``.
     """
     name = query.sort.lstrip("-")
     texts = name in (*WORDS, "uploader")
@@ -165,14 +165,14 @@ def devices(service: Shared, limit: Limit = 100, cursor_: Cursor = None) -> answ
 def experiments(
     service: Shared, device: Name | None = None, limit: Limit = 100, cursor_: Cursor = None
 ) -> answers.Page[Experiment]:
-    """List experiments, of one device or of all."""
+    """List the experiments of one device or of all devices."""
     items = [e for e in service.catalogue.experiments if device in (None, e.device)]
     return parted(items, ("device", "experiment"), limit, cursor_)
 
 
 @api.get("/trials", response_model=answers.TrialPage)
 def trials(service: Shared, asked: Annotated[TrialQuery, Query()]) -> Response:
-    """List trials by their properties, with how many there are of each."""
+    """List trials by their properties, with the number of trials for each property."""
     all_ = service.catalogue
     content = all_.once(
         f"document {asked.model_dump_json()}",
@@ -183,7 +183,7 @@ def trials(service: Shared, asked: Annotated[TrialQuery, Query()]) -> Response:
 
 @api.get("/trials/{trial}", responses=answers.NAMED)
 def one_trial(service: Shared, trial: str) -> answers.NotedTrial:
-    """Return a trial: conditions, verdict, costs, notes and tags."""
+    """Return a trial with its conditions, verdict, costs, notes and tags."""
     return answers.NotedTrial(
         **dict(service.found(trial)), notes=service.database.words("notes", ["trial", trial]).value
     )
@@ -200,7 +200,7 @@ FORMS: dict[str, tuple[str, Callable[[pa.Table, io.BytesIO], object] | None]] = 
     "parquet": ("application/vnd.apache.parquet", pq.write_table),
     "arrows": ("application/vnd.apache.arrow.stream", _write_arrow),
 }
-"""Media type and writer of each form of samples."""
+"""Media type and writer of each format of samples."""
 
 MEDIA = {media: form for form, (media, _) in FORMS.items()} | dict.fromkeys(("*/*", "application/*", ""), "json")
 
@@ -216,7 +216,7 @@ def samples(
     trial: str,
     format: Literal[tuple(FORMS)] | None = None,  # type: ignore[valid-type]
 ) -> Response:
-    """Return the samples of a trial in the format of the Accept header; with `format` as a download."""
+    """Return the samples of a trial in the format of the Accept header, or with `format` as a download."""
     accept = request.headers.get("accept", "*/*")
     taken = [format] if format else [MEDIA.get(one.partition(";")[0].strip().lower()) for one in accept.split(",")]
     form = next(filter(None, taken), None)
@@ -245,13 +245,13 @@ async def logs(service: Shared, request: Request) -> Accepted:
 
 @api.get("/jobs")
 def jobs(service: Shared, limit: Limit = 100, cursor_: Cursor = None) -> answers.Page[Job]:
-    """List jobs, the latest first."""
+    """List jobs, latest first."""
     return latest(service.database.jobs, limit, cursor_)
 
 
 @api.get("/jobs/{job}", responses=answers.NAMED)
 def one_job(service: Shared, job: str) -> Job:
-    """Return a job: its state, progress and result."""
+    """Return a job with its state, progress and result."""
     shown = service.database.job(job)
     if shown is None:
         raise Problem(404, "There is no such job.", where="job", found=job)
@@ -260,7 +260,7 @@ def one_job(service: Shared, job: str) -> Job:
 
 @api.delete("/jobs/{job}", responses=answers.NAMED)
 def cancel(service: Shared, request: Request, job: str) -> Job:
-    """Cancel a job that has not ended; permitted for the user who requested it, and admins."""
+    """Cancel a job that has not ended. Permitted for the user who requested the job, and for admins."""
     shown, who = one_job(service, job), request.state.who
     if request.state.role != "admin" and shown.author != who:
         raise Problem(
@@ -280,7 +280,7 @@ def cancel(service: Shared, request: Request, job: str) -> Job:
     responses={200: {"description": "Events.", "content": {EVENTS: {"schema": EVENT}}}, **answers.NAMED},
 )
 async def events(service: Shared, job: str, request: Request) -> StreamingResponse:
-    """Send each change of a job as a server-sent event, until its end."""
+    """Send each change of a job as a server-sent event, until the job ends."""
     await run_in_threadpool(one_job, service, job)
 
     async def told() -> AsyncIterator[str]:
@@ -303,14 +303,14 @@ async def events(service: Shared, job: str, request: Request) -> StreamingRespon
     responses={202: {"description": "A job makes it.", "model": answers.Queued}, **answers.NAMED},
 )
 def compare(service: Shared, who: Who, asked: ComparisonRequest) -> JSONResponse:
-    """Request a comparison; an existing one is returned immediately."""
+    """Request a comparison. An existing comparison is returned immediately."""
     key, job = service.comparison(asked, who)
     return JSONResponse({"key": key}) if job is None else JSONResponse({"job": job, "key": key}, 202)
 
 
 @api.get("/comparisons")
 def comparisons(service: Shared) -> list[answers.Comparison]:
-    """List finished comparisons, the latest first; of equal ones only the newest."""
+    """List finished comparisons, latest first. Of equal comparisons, only the newest is listed."""
     jobs = [job for job, earlier in service.database.reports(MOST_REPORTS) if not earlier]
     return [
         answers.Comparison(key=j.result["key"], made=j.changed, author=j.author, asked=j.request["asked"]) for j in jobs
@@ -336,7 +336,7 @@ def _add_part(part: str, shape: Any) -> None:
         f"/experiments/{{device}}/{{experiment}}/{part}",
         response_model=shape,
         responses=answers.LATER,
-        description=f"Return the {part} of an experiment, or 202 with a job if it is not computed in time.",
+        description=f"Return the {part} of an experiment, or 202 with a job if the result is not computed in time.",
     )
     async def experiment_part(service: Shared, device: Segment, experiment: Segment) -> Response:
         document = await awaited(service, lambda: service.experiment(device, experiment))
@@ -350,7 +350,7 @@ for part, shape in answers.PARTS.items():
 
 
 async def awaited(service: Service, ask: Callable[[], Kept]) -> JsonObject:
-    """Return a document that is stored or made in time; otherwise raise `Later` with the job that makes it."""
+    """Return a document if it is stored or computed in time. Otherwise, raise `Later` with the job that computes it."""
     until = time.monotonic() + service.settings.wait_s
     while True:
         document, job = await run_in_threadpool(ask)
@@ -361,7 +361,7 @@ async def awaited(service: Service, ask: Callable[[], Kept]) -> JsonObject:
                 raise Later(job)
             await asyncio.sleep(0.1)
         if shown.problem:
-            status = shown.problem.status  # a defect belongs to its job and has no status here
+            status = shown.problem.status  # a defect of a job is shown with the job and has no status here
             raise Problem(503 if status == 500 else status, shown.problem.detail, where="job", found=job)
 
 
@@ -374,10 +374,10 @@ async def receive(service: Service, request: Request, check: Check = lambda _: N
 
 
 def _file(service: Service, key: str, ending: str, media: str) -> Response:
-    """Return a file of a comparison; the scripts of a page run isolated, like those of another site."""
+    """Return a file of a comparison. The scripts of a page run in isolation, like those of a different site."""
     file = documents.document_file(service.settings, key, report=True).with_suffix(ending)
     if not file.is_file():
-        raise Problem(404, "There is no such comparison. Create it with POST comparisons.", where="key", found=key)
+        raise Problem(404, "There is no such comparison. Request one with POST comparisons.", where="key", found=key)
     if ending == ".json":
         return FileResponse(file, media_type=media)
     whole = file.read_text("utf-8").replace("<body>", f"<body>{BACK}", 1)

@@ -1,5 +1,5 @@
-"""REST for the data and requests of a lab: profiles, refused logs, next walls, figures, theory (with a device in
-SI)."""
+"""REST interface for the data and requests of a lab: profiles, refused logs, next walls, figures, and theory (in SI if
+a device is given)."""
 
 import os
 import secrets
@@ -44,8 +44,8 @@ class Tried(ProfileText):
 class KeptProfile(ProfileText):
     """A profile, and the sample of a draft that it must agree with.
 
-    The command of a sample may obey another stiffness, damping or step than the profile states. The profile is then
-    stored only with a confirmation that explains why it is right.
+    The command of a sample may follow a different stiffness, damping or step than the profile states. The profile is
+    then stored only with a confirmation that explains why the profile is right.
     """
 
     sample: Annotated[str, Field(pattern="^[0-9a-f]{16}$")] | None = None
@@ -65,14 +65,14 @@ class DeviceText(Form):
 
 
 class Retry(Form):
-    """The profile for reading a refused log again; empty for the one that claims it."""
+    """The profile for reading a refused log again. If empty, the profile that matches the file name is used."""
 
     profile: Annotated[str, Field(max_length=100)] = ""
 
 
 @lab.get("/profiles", response_model=list[str])
 def profile_names(service: Shared) -> list[str]:
-    """List the profiles: those of the lab, then the shipped ones."""
+    """List the profiles: first those of the lab, then the shipped profiles."""
     return profiles.names(service.settings)
 
 
@@ -84,7 +84,8 @@ def profile(service: Shared, name: ProfileName) -> dict[str, str]:
 
 @lab.put("/profiles/{name}", response_model=ProfileText, responses=answers.problems(404, 409, 422, 504))
 def put_profile(service: Shared, who: Who, name: ProfileName, asked: KeptProfile) -> dict[str, str]:
-    """Store a profile of the lab, replacing an earlier one of its name; a sample must not contradict it."""
+    """Store a profile of the lab, replacing an earlier profile with the same name. The profile must not contradict its
+    sample."""
     text, version = profiles.checked_text(service.settings, name, asked.profile)
     action: JsonObject = {"name": name, "version": version}
     if asked.sample is not None:
@@ -100,13 +101,14 @@ def put_profile(service: Shared, who: Who, name: ProfileName, asked: KeptProfile
 
 
 def _contradictions(service: Service, asked: KeptProfile) -> list[profiles.Contradiction]:
-    """Return the contradictions of a profile with its sample; with a confirmation, also failures to try it."""
+    """Return the contradictions between a profile and its sample. With a confirmation, an unsuccessful check is also
+    returned."""
     try:
         return profiles.contradictions(preview(service, Tried(profile=asked.profile, sample=asked.sample or "")))
     except Problem as problem:
         if not asked.confirmation.strip():
             raise
-        return [profiles.Contradiction("sample", "", f"The profile was not tried: {problem}")]
+        return [profiles.Contradiction("sample", "", f"The profile could not be checked: {problem}")]
 
 
 @lab.get("/devices/{device}/file", response_model=DeviceText, responses=answers.NAMED)
@@ -117,7 +119,7 @@ def device_text(device: Segment) -> dict[str, str]:
 
 @lab.put("/devices/{device}/file", response_model=DeviceText, responses=answers.problems(404, 409, 422))
 def put_device(service: Shared, who: Who, device: Segment, asked: DeviceText) -> dict[str, str]:
-    """Store the file of a device; the next comparison, theory and plan use it."""
+    """Store the file of a device. It is used from the next comparison, theory or plan on."""
     device_files.keep(device, asked.file)
     service.database.note(who, "kept a device file", {"device": device})
     return {"file": asked.file}
@@ -133,7 +135,7 @@ def remove_device(service: Shared, who: Who, device: Segment) -> Response:
 
 @lab.post("/profiles/draft", openapi_extra=files_of(), responses=answers.problems(504))
 async def draft(service: Shared, request: Request) -> answers.Draft:
-    """Draft a profile for sample logs; they are kept for a day, for previews."""
+    """Draft a profile for sample logs. The samples are kept for a day, for previews."""
     return await drafted(service, request)
 
 
@@ -148,7 +150,8 @@ async def drafted(service: Service, request: Request, check: Check = lambda _: N
 
 @lab.post("/profiles/preview", response_model=list[Any], responses=answers.problems(404, 504))
 def preview(service: Shared, asked: Tried) -> list[Any]:
-    """Return what a profile would read from the sample of a draft, as `pipeline profile check --json` does."""
+    """Return a preview of the data that a profile would read from the sample of a draft, as `pipeline profile check
+    --json`."""
     folder = profiles.samples_folder(service.settings, asked.sample)
     if not folder.is_dir():
         raise Problem(
@@ -159,7 +162,7 @@ def preview(service: Shared, asked: Tried) -> list[Any]:
 
 @lab.get("/quarantine")
 def quarantine(service: Shared) -> list[answers.Refused]:
-    """List the logs that were refused, with reason and date."""
+    """List the logs that were refused, with the reason and the date."""
     processed, sent = service.settings.processed, service.database.uploaded()
     found = []
     for record in list_quarantine(processed, {}):
@@ -171,7 +174,8 @@ def quarantine(service: Shared) -> list[answers.Refused]:
 
 
 def _paths_of(service: Service, which: str) -> dict[str, str]:
-    """Return the paths of refused logs, by ids with commas between, and the names under which they were uploaded."""
+    """Return the paths of refused logs, given by their ids (separated by commas), and the names under which they were
+    uploaded."""
     known = {record_id(record): record.path for record in list_quarantine(service.settings.processed, {})}
     for one in which.split(","):
         if one not in known:
@@ -182,13 +186,13 @@ def _paths_of(service: Service, which: str) -> dict[str, str]:
 @lab.post("/quarantine/{which}/retry", status_code=202, response_model=answers.Queued, response_model_exclude_none=True,
           responses=answers.NAMED)  # fmt: skip
 def retry(service: Shared, who: Who, which: str, asked: Retry) -> dict[str, str]:
-    """Read refused logs (ids with commas between) again, with another profile if one is given."""
+    """Read refused logs (ids separated by commas) again, with a different profile if one is given."""
     paths = _paths_of(service, which)
     for path in paths:
         if not path_of_text(path).exists():
             raise Problem(
                 409,
-                "The log is no longer at its former place. Send it again.",
+                "The log is no longer at the path where it was refused. Send it again.",
                 where="id",
                 found=path_of_text(path).name,
             )
@@ -200,7 +204,7 @@ def retry(service: Shared, who: Who, which: str, asked: Retry) -> dict[str, str]
 
 @lab.delete("/quarantine/{which}", status_code=204, response_class=Response, responses=answers.NAMED)
 def dismiss(service: Shared, who: Who, which: str) -> Response:
-    """Remove refused logs (ids with commas between) from quarantine, and from the uploads if they were uploaded."""
+    """Remove refused logs (ids separated by commas) from quarantine, and uploaded logs also from the uploads."""
     paths = _paths_of(service, which)
     for path in paths:
         log = path_of_text(path)
@@ -216,7 +220,7 @@ def dismiss(service: Shared, who: Who, which: str) -> Response:
 async def plan(
     service: Shared, device: Name, experiment: Name, goal: Literal["boundary", "optimum"] = "boundary"
 ) -> Response:
-    """Return the walls to try next, as `pipeline plan --json`."""
+    """Return the recommended next walls, as `pipeline plan --json`."""
     return JSONResponse(await awaited(service, lambda: service.plan(device, experiment, goal)))
 
 
@@ -225,7 +229,7 @@ SVG: dict[int | str, JsonObject] = {200: {"content": {"image/svg+xml": {}}}}
 
 @lab.get("/figures/{device}/{experiment}/{name}.svg", response_class=Response, responses={**SVG, **answers.LATER})
 async def figure(service: Shared, device: Segment, experiment: Segment, name: str) -> Response:
-    """Return a figure of an experiment: ``limits`` with theory, or ``response``."""
+    """Return a figure of an experiment: ``limits`` (with theory) or ``response``."""
     from pipeline.rendering.figures.drawing import standalone
 
     figures = (await awaited(service, lambda: service.experiment(device, experiment)))["figures"]
@@ -236,7 +240,7 @@ async def figure(service: Shared, device: Segment, experiment: Segment, name: st
 
 SLOW = answers.problems(404, 504)
 LONGEST_DELAY, MOST_POINTS = 64.0, 500
-"""Largest delay [samples] and number of walls of a request. For more, use the command line."""
+"""Largest delay [samples] and largest number of walls in a request. For larger numbers, use the command line."""
 
 OPTIMA = (*POINT_CRITERIA, *with_discrete(CRITERIA))
 """Criteria that have an optimum."""
@@ -244,7 +248,10 @@ OPTIMA = (*POINT_CRITERIA, *with_discrete(CRITERIA))
 Coefficient = Annotated[float, Query(allow_inf_nan=False)]
 Coordinates = Annotated[list[FiniteNumber], Query(max_length=MOST_POINTS)]
 Delay = Annotated[float | None, Query(ge=0, le=LONGEST_DELAY, description="Delay in samples, without a device.")]
-Device = Annotated[Name | None, Query(description="Name of a device. All values are then in SI, for its experiment.")]
+Device = Annotated[
+    Name | None,
+    Query(description="Name of a device. All values are then in SI, for the given experiment of the device."),
+]
 
 
 def requested_loop(
@@ -254,13 +261,13 @@ def requested_loop(
     device: Device = None,
     experiment: Name | None = None,
 ) -> tuple[Any, ...]:
-    """Return the requested loop, as input of `theory.document`."""
+    """Return the requested loop as the input of `theory.document`."""
     if device is None:
         if delay is None:
-            raise Problem(422, "Give the delay in samples, or a device.", where="delay")
+            raise Problem(422, "State the delay in samples, or name a device.", where="delay")
         return gamma, delta, delay
     if delay is not None or gamma or delta:
-        raise Problem(422, "The device determines delay, gamma and delta. Omit them.", where="device")
+        raise Problem(422, "A device already determines delay, gamma and delta. Omit these parameters.", where="device")
     return device, experiment
 
 
@@ -280,7 +287,8 @@ async def optimum(
     criterion: Literal[OPTIMA],  # type: ignore[valid-type]
     signal: Literal["continuous", "discrete"] | None = None,
 ) -> Any:
-    """Return the point of least cost by a criterion, as `pipeline theory optimum --json`; 202 if it takes longer."""
+    """Return the point of least cost by a criterion, as `pipeline theory optimum --json`, or 202 if the computation
+    takes longer."""
     return JSONResponse(await awaited(service, lambda: service.optimum(of, criterion, signal)))
 
 
@@ -293,7 +301,8 @@ def points(
     stiffness: Coordinates = [],  # noqa: B006
     damping: Coordinates = [],  # noqa: B006
 ) -> Any:
-    """Return stability and costs of points: alpha and beta, or with a device stiffness and damping."""
+    """Return the stability and the costs of points, given by alpha and beta, or by stiffness and damping for a
+    device."""
     names = "stiffness, damping" if len(of) == 2 else "alpha, beta"
     first, second = (stiffness, damping) if len(of) == 2 else (alpha, beta)
     if len(first) != len(second) or not first:

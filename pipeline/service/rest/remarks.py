@@ -1,4 +1,5 @@
-"""REST for remarks on stored data and their correction: notes, tags, exclusions, moves, deletions; audit."""
+"""REST interface for remarks on stored data and for corrections: notes, tags, exclusions, moves, deletions, and the
+audit."""
 
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any
@@ -27,19 +28,19 @@ IfMatch = Annotated[str | None, Header(alias="If-Match", max_length=100)]
 
 
 class Notes(Form):
-    """A text on a trial or experiment."""
+    """A note on a trial or experiment."""
 
     text: Annotated[str, Field(max_length=100_000)]
 
 
 class Tags(Form):
-    """Short words on a trial or experiment."""
+    """Tags of a trial or experiment."""
 
     tags: Annotated[list[Annotated[str, Field(min_length=1, max_length=100)]], Field(max_length=100)]
 
 
 class Exclusion(Form):
-    """Reason why a trial or a whole experiment is excluded from all results. With null it is used again."""
+    """Reason why a trial or a whole experiment is excluded from all results. With null, the trials are used again."""
 
     reason: Annotated[str, Field(min_length=1, max_length=1000)] | None
 
@@ -58,7 +59,7 @@ class Change(Form):
 
 
 class InBin(Form):
-    """Selection of trials in the bin: those of a device or of one of its experiments, or one trial."""
+    """Selection of trials in the bin: all trials of a device or of one of its experiments, or a single trial."""
 
     device: Name | None = None
     experiment: Name | None = None
@@ -66,13 +67,13 @@ class InBin(Form):
 
 
 def of_trial(service: Shared, trial: str) -> list[str]:
-    """Return the owner of the notes of a trial."""
+    """Return a trial as the owner of notes and tags."""
     service.found(trial)
     return ["trial", trial]
 
 
 def of_experiment(service: Shared, device: Segment, experiment: Segment) -> list[str]:
-    """Return the owner of the notes of an experiment."""
+    """Return an experiment as the owner of notes and tags."""
     service.experiments(device, [experiment])
     return ["experiment", device, experiment]
 
@@ -95,7 +96,8 @@ def keep_words(service: Service, kind: str, of: list[str], value: object, who: s
         if known not in (None, "*", tag_of(found)):
             raise Problem(
                 412,
-                f"{found.author or 'Another user'} has changed this in the meantime. Read it again.",
+                f"{found.author or 'Another user'} has changed this text in the meantime. Read the current version, "
+                "and repeat your change.",
                 where="If-Match",
             )
         if found.value != value:
@@ -109,7 +111,7 @@ WRITTEN = {
     )
     for form in (Notes, Tags)
 }
-"""Notes and tags with author and time of the last change, as answers."""
+"""Models of the answers with notes or tags, with the author and the time of the last change."""
 
 
 def _add_words(path: str, of: Callable[..., list[str]], form: type[Notes | Tags]) -> None:
@@ -119,17 +121,17 @@ def _add_words(path: str, of: Callable[..., list[str]], form: type[Notes | Tags]
 
     @remarks.get(path, response_model=answer, responses=answers.NAMED)
     def words(service: Shared, of: owned) -> Response:
-        """Return notes or tags with author and time; use its ETag as If-Match of a change."""
+        """Return notes or tags, with their author and time. Send the ETag of this answer as If-Match of a change."""
         found = service.database.words(kind, of)
         shown = {name: found.value, "author": found.author, "changed": found.changed}
         return JSONResponse(shown, headers={"ETag": tag_of(found)})
 
     def put_words(service: Shared, who: Who, of: owned, asked: Any, match: IfMatch = None) -> Response:
-        """Replace notes or tags, unless they changed since the ETag of If-Match."""
+        """Replace notes or tags, unless they have changed since the version with the ETag in If-Match."""
         keep_words(service, kind, of, getattr(asked, name), who, match)
         return words(service, of)
 
-    put_words.__annotations__["asked"] = form  # from which the framework reads the body
+    put_words.__annotations__["asked"] = form  # the framework determines the body from this annotation
     remarks.put(path, response_model=answer, responses=STALE)(put_words)
 
 
@@ -141,12 +143,12 @@ def _add_remarks(owner: str, of: Callable[..., list[str]]) -> None:
 
     @remarks.get(f"{owner}/exclusion", responses=answers.NAMED)
     def excluded(service: Shared, of: owned) -> dict[str, dict[str, str]]:
-        """Return which trials are excluded by hand, and why."""
+        """Return the manually excluded trials, with the reasons."""
         return {"excluded": service.excluded(of)}
 
     @remarks.put(f"{owner}/exclusion", responses=answers.NAMED)
     def put_exclusion(service: Shared, who: Who, of: owned, asked: Exclusion) -> dict[str, dict[str, str]]:
-        """Exclude by hand with a reason, or use again (null)."""
+        """Exclude a trial or an experiment manually with a reason, or use it again (null)."""
         known, words = service.excluded(of), (service.settings.processed, words_for(of))
         if asked.reason is not None:
             corrections.exclude(*words, asked.reason, CORRECT_S)
@@ -163,7 +165,7 @@ def _add_places(owner: str, of: Callable[..., list[str]], form: type[DeviceChang
     owned = Annotated[list[str], Depends(of)]
 
     def move(service: Shared, who: Who, of: owned, asked: Any) -> dict[str, int]:
-        """Rename, or move to another place; notes and tags follow. Return the number of trials."""
+        """Rename, or move to another place. Notes and tags are moved as well. Return the number of trials."""
         processed, names = service.settings.processed, list[str]()
         if of[0] == "trial":
             found = service.found(of[1])
@@ -194,7 +196,7 @@ def words_for(of: Sequence[str]) -> str:
 
 
 def _corrected(service: Service, who: str, did: str, of: Sequence[str], trials: int, **more: object) -> dict[str, int]:
-    """Record a correction in the audit, renew verdicts, and return the number of trials."""
+    """Record a correction in the audit, request new verdicts, and return the number of trials."""
     service.database.note(who, did, {"of": of, "trials": trials, **more})
     service.job("stages", {}, "stages")
     return {"trials": trials}
@@ -209,7 +211,7 @@ _add_places(DEVICE, of_device, DeviceChange)
 
 
 class Chosen(Form):
-    """Trials by their ids, and the change to all of them: a reason to exclude them, or tags to add."""
+    """Ids of trials, and a change of all of them: a reason for their exclusion, or tags to add."""
 
     trials: Annotated[list[Name], Field(min_length=1, max_length=1000)]
     reason: Annotated[str, Field(min_length=1, max_length=1000)] | None = None
@@ -218,9 +220,11 @@ class Chosen(Form):
 
 @remarks.post("/marks", response_model=dict[str, int], responses=answers.problems(404, 422))
 def mark(service: Shared, who: Who, asked: Chosen) -> dict[str, int]:
-    """Exclude trials for a reason, or add tags to them; return their number. All must exist."""
+    """Exclude trials for a reason, or add tags to them. Return the number of trials. All must exist."""
     if (asked.reason is None) == (not asked.tags):
-        raise Problem(422, "Give a reason to exclude the trials, or tags to add to them.", where="reason")
+        raise Problem(
+            422, "State either a reason for the exclusion of the trials, or tags to add to them.", where="reason"
+        )
     owners = [of_trial(service, trial) for trial in dict.fromkeys(asked.trials)]
     for of in owners:
         if asked.reason is not None:
@@ -256,12 +260,12 @@ def restore(service: Shared, who: Who, asked: InBin) -> dict[str, int]:
 
 @remarks.delete("/bin", response_model=dict[str, int])
 def empty_bin(service: Shared, who: Who) -> dict[str, int]:
-    """Remove the trials in the bin from the store; logs are never touched."""
+    """Remove the trials in the bin from the store. Log files are never changed."""
     count = corrections.empty_bin(service.settings.processed, CORRECT_S)
     return _corrected(service, who, "emptied the bin", (), count)
 
 
 @remarks.get("/audit")
 def audit(service: Shared, limit: Limit = 100, cursor_: Cursor = None) -> answers.Page[Deed]:
-    """List manual actions with their users, the latest first."""
+    """List manual actions with their users, latest first."""
     return latest(service.database.audit, limit, cursor_)

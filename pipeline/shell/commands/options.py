@@ -93,9 +93,7 @@ def stiffness_of(text: str, motion: Motion | None) -> float:
             if is_rotation(motion)
             else ""
         )
-        raise UsageError(
-            f"--stiffness {text}: the motion of the device is a {motion}, so the stiffness must be in {si}.{lever}"
-        )
+        raise UsageError(f"--stiffness {text}: expected {si}, because the motion of the device is a {motion}.{lever}")
     return value * unit.factor
 
 

@@ -63,7 +63,7 @@ def test_the_page_edits_uploads_and_downloads(lab):
     changed = SHIPPED.replace("mass = 0.58", "mass = 0.6", 1)
     right = form([], form=browser.token(at), file=changed)
     assert browser.ask("POST", at, right["body"], right["headers"]).status == 303
-    assert "this lab has its own file" in page(lab, at)
+    assert "the file of this lab is used" in page(lab, at)
     assert lab.get(f"{at}?download=true").content.decode() == changed
     forged = form([], form="0" * 64, file=changed)
     assert browser.ask("POST", at, forged["body"], forged["headers"]).status == 403

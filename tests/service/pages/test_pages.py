@@ -86,7 +86,8 @@ def test_a_read_only_server_says_what_was_not_drawn(falcon, tmp_path):
         trial = client.get("trials?limit=1").content["items"][0]["id"]
         text = page(client, f"/trials/{trial}")
         assert "samples?format=csv" in text
-        assert "cannot be drawn: This has not been computed yet, and the server is read-only." in text
+        assert "cannot be drawn: This result has not been computed yet" in text
+        assert "cannot be computed because the server is read-only." in text
         # theory needs no store
         assert client.get("theory/optimum?delay=2&criterion=overshoot").content["cost"] == pytest.approx(0.0, abs=1e-6)
 
