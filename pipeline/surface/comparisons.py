@@ -28,14 +28,15 @@ _SHOWN = ("experiment", "quantity", "value", "low", "high", "unit", "reason")
 
 
 class Comparison:
-    """Results of a comparison with theory. Its tables are those of the report, as data frames.
+    """Results of a comparison with theory. The tables are those of the report, as data frames.
 
     Parameters
     ----------
     result : ComparisonResult
         The document that `pipeline compare --json` prints. ``result.model_dump()`` returns it as plain Python values.
     compute : callable, optional
-        Function that repeats the comparison and writes its report to a path. It is None for a loaded comparison.
+        Function that repeats the comparison and writes its report to a path. None for a comparison that was loaded from
+        a document.
     """
 
     def __init__(self, result: ComparisonResult, compute: Callable[[Path], ComparisonResult] | None = None) -> None:
@@ -123,9 +124,9 @@ class Comparison:
 
     @property
     def scores(self) -> pd.DataFrame:
-        """Scores of theory's predictions of the experiments; ``docs/definitions.md`` defines each number.
+        """Scores of the theoretical predictions for the experiments; ``docs/definitions.md`` defines each number.
 
-        ``experiment``, ``basis`` (whether theory uses the device file or the estimates), ``score`` (``region``,
+        ``experiment``, ``basis`` (parameters used by theory: device file or estimates), ``score`` (``region``,
         ``distance``, ``verdicts``, ``stiffness``), ``quantity``, ``value``, ``low``, ``high`` (ends of the interval, if
         any), ``reason`` (why a score is missing). The table has one row for each number.
         """
@@ -134,8 +135,8 @@ class Comparison:
     def write(self, path: PathLike) -> Path:
         """Write the HTML report and, next to it, the JSON document. Return the path of the report.
 
-        The report is computed from the data that are stored when this method is called. If they have changed since the
-        comparison, the results in this object are updated.
+        The report is computed from the data that are stored when this method is called. If the stored data have changed
+        since the comparison, the results in this object are updated.
 
         Raises
         ------
@@ -149,8 +150,8 @@ class Comparison:
         result = None if self._compute is None else self._compute(target)
         if result is None:
             raise UsageError(
-                f"{target}: this comparison was loaded from a document, which lacks the samples for the figures. "
-                f"Compare again: pipeline.compare({self.result.device!r}).write(...)."
+                f"{target}: this comparison was loaded from a document, which does not contain the samples for the "
+                f"figures. Compare again: pipeline.compare({self.result.device!r}).write(...)."
             )
         self.result = result
         return target
@@ -169,14 +170,14 @@ def compare(
     Parameters
     ----------
     device : str
-        Device name as in the logs. The device need not be a known one. A path of a device file (.toml) is also
+        Device name as in the logs. The device need not have a device file. A path of a device file (.toml) is also
         accepted.
     processed : path
         Folder that `ingest` filled. Results of stages are stored there and reused.
     experiments, criteria : sequence of str, optional
         Experiments and criteria to compare. By default, all stored experiments and all criteria are compared.
     full : bool
-        Whether the report includes the response of every trial, even if the file becomes large.
+        True if the report should include the response of every trial, even if the file becomes large.
 
     Returns
     -------
@@ -219,13 +220,13 @@ def load(report: PathLike) -> Comparison:
         return Comparison(ComparisonResult.model_validate_json(document.read_bytes()))
     except OSError as error:
         raise UsageError(
-            f"{document}: cannot be read ({error.strerror or error}). Give the JSON document that `pipeline compare` "
+            f"{document}: cannot be read ({error.strerror or error}). Name the JSON document that `pipeline compare` "
             "writes next to its report."
         ) from error
     except ValidationError as error:
         (first, *_) = error.errors(include_url=False)
         place = ".".join(map(str, first["loc"])) or "document"
         raise UsageError(
-            f"{document}: is not a comparison document of this version ({place}: {first['msg']}). Give the JSON that "
-            "`pipeline compare` writes next to its report, or compare again."
+            f"{document}: is not a comparison document of this version ({place}: {first['msg']}). Name the JSON "
+            "document that `pipeline compare` writes next to its report, or compare again."
         ) from error

@@ -1,4 +1,4 @@
-"""Residuals of the free runs of an identified device: by place, by command, over time, and their spectrum."""
+"""Residuals of the free runs of an identified device: by position, by command, over time, and their spectrum."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from pipeline.measured.identification.replay import Replay
 from pipeline.records.trials import Booleans, Floats
 
 GROUPS = 24
-"""Number of groups of a range of places, commands or times."""
+"""Number of groups into which a range of positions, commands or times is divided."""
 
 FEWEST_ROWS = 8
-"""Smallest number of rows of a group. Quartiles of fewer rows depend on single rows."""
+"""Smallest number of rows of a group, because quartiles of fewer rows depend on single rows."""
 
 LONGEST_PIECE, SHORTEST_PIECE = 1024, 16
 """Largest and smallest number of rows of a piece of a free run from which the spectrum is computed."""
 
 COMMAND_BAND = 0.05, 0.95
-"""Shares of the power of the command below both ends of its band, which contains the middle 90 % of the power."""
+"""Shares of the power of the command below the lower and the upper end of its band, which thus contains the middle 90 %
+of the power."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +32,7 @@ class Residuals:
     Parameters
     ----------
     residual : float64
-        Measured less simulated velocity [m/s, rad/s], both smoothed as for `Replay`.
+        Measured minus simulated velocity [m/s, rad/s], both smoothed as for `Replay`.
     velocity : float64
         Measured velocity [m/s, rad/s].
     position, command : float64
@@ -71,7 +72,7 @@ class Quartiles:
 
     @classmethod
     def of(cls, values: Floats, at: Floats, ends: tuple[float, float], inside: Booleans | None = None) -> Quartiles:
-        """Return the quartiles of values in `GROUPS` groups of equal width along ``at``, between both ends.
+        """Return the quartiles of values in `GROUPS` groups of equal width along ``at``, between the two ends.
 
         Groups of fewer than `FEWEST_ROWS` rows are left out. ``inside`` selects rows.
         """
@@ -89,7 +90,7 @@ class Quartiles:
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """One-sided power spectral densities of measured velocity and of its residual, [(m/s)²/Hz, (rad/s)²/Hz].
+    """One-sided power spectral densities of the measured velocity and of its residual [(m/s)²/Hz, (rad/s)²/Hz].
 
     The frequencies [Hz] and both densities have the shape (frequencies,).
     """
@@ -100,7 +101,7 @@ class Spectra:
 
 
 def spectra_of(replay: Sequence[Replay]) -> Spectra | None:
-    """Return the mean spectra of pieces of equal length of all logs, or None if all logs are too short.
+    """Return spectra averaged over pieces of equal length of all logs, or None if all logs are too short.
 
     The free runs of a log are joined. Each piece has the median length of the logs, at most `LONGEST_PIECE` rows, and a
     Hann window.
@@ -122,7 +123,8 @@ def spectra_of(replay: Sequence[Replay]) -> Spectra | None:
 
 
 def _joined(each: Replay) -> Floats:
-    """Return measured velocity and residual of a log, (2, rows), in which the ends of each free run are constant."""
+    """Return the measured velocity and the residual of a log, shape (2, rows). At both ends of each free run, they are
+    constant."""
     parts = [np.empty((2, 0))]
     for run in each.windows:
         measured, simulated = run.velocities(each.half)
@@ -132,7 +134,8 @@ def _joined(each: Replay) -> Floats:
 
 
 def command_band(recordings: Sequence[Recording]) -> tuple[float, float] | None:
-    """Return the ends of the band [Hz] with the middle 90 % of the power of all commands without their means.
+    """Return the ends of the band [Hz] with the middle 90 % of the power of all commands, after subtraction of their
+    means.
 
     The result is None if no command changes.
     """
@@ -154,7 +157,7 @@ def command_band(recordings: Sequence[Recording]) -> tuple[float, float] | None:
 def shown_replays(replay: Sequence[Replay]) -> list[Replay]:
     """Return the logs with the smallest, the median and the largest fit, in this order, without repetition.
 
-    Of an even number of logs, the worse of both logs in the middle is the median. Logs without a fit are left out.
+    For an even number of logs, the median is the worse of the two logs in the middle. Logs without a fit are left out.
     """
     fits = sorted((each for each in replay if np.isfinite(each.fit_percent)), key=lambda each: each.fit_percent)
     places = dict.fromkeys((0, (len(fits) - 1) // 2, len(fits) - 1)) if fits else {}

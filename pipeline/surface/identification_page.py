@@ -1,4 +1,4 @@
-"""Page on the identification of a device: evidence, parameters, parts that were tried, and predicted walls."""
+"""Page on the identification of a device: evidence, parameters, tested parts, and predicted walls."""
 
 from __future__ import annotations
 
@@ -39,31 +39,31 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 COMBINATIONS = {
-    "acceleration": "acceleration by the largest command, including friction and constant force",
+    "acceleration": "acceleration due to the largest command, including friction and constant force",
     "damping_per_mass": "damping over mass",
     "stiffness_per_mass": "stiffness over mass",
     "friction_less_force": "friction minus the constant force in the direction of motion",
     "delay_and_lag": "sum of delay and actuator lag",
 }
-"""Identifiable combinations of parameters that cannot be separated from each other."""
+"""Descriptions of identifiable combinations of parameters that cannot be separated from each other."""
 
 DECISIONS: dict[Decision, str] = {
     "accepted": "accepted",
-    "undecided": "neither found nor excluded: included as unknown",
-    "imitated": "removed: a part that was found later explains the same motion",
+    "undecided": "neither identified nor excluded: included as unknown",
+    "imitated": "removed: a part that was accepted later explains the same motion",
     "no start": "rejected: at its best starting value, the gain is too small",
     "white noise": "rejected: with the noise of the readings alone, the gain is too small",
     "random force": "rejected: with the random force of the device, the gain is too small",
     "size": "rejected: its size cannot be distinguished from zero",
     "gain": "rejected: the gain is too small",
-    "left out": "rejected: the likelihood of logs left out rises too little",
-    "at a limit": "rejected: one of its numbers is at a limit of the search",
-    "command noise": "rejected: it cuts off only noise of the command",
-    "free runs": "rejected: it does not reduce the random force or the errors of free runs enough",
+    "left out": "rejected: the likelihood of left-out logs increases too little",
+    "at a limit": "rejected: one of its parameters is at a limit of the search",
+    "command noise": "rejected: the force limit would clip only the noise of the command",
+    "free runs": "rejected: it does not sufficiently reduce the random force or the errors of free runs",
     "small errors": "rejected: free runs without it are as accurate as the readings",
     "no load": "rejected: the mass of its load cannot be identified",
 }
-"""Decision on a part, in words."""
+"""Text for each decision on a part."""
 
 GROUPINGS = {
     "direction": "direction of command and motion",
@@ -75,20 +75,20 @@ GROUPINGS = {
 
 
 FORCE = (
-    "The device is identified from the measured force, and the drive from command and force. Gain, delay, lag and "
-    "limit of the drive explain {} of the measured force."
+    "The device is identified from the measured force, and the drive from command and force. The gain, delay, "
+    "lag and limit of the drive explain {} of the measured force."
 )
 """Sentence on a drive that is identified from a measured force."""
 
 BESIDE = 0.3
-"""Distance between the bars of both directions of motion, as a share of the width of a group."""
+"""Distance between the bars for the two directions of motion, as a share of the width of a group."""
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """Identification with its recordings, from which the figures of the page are drawn.
 
-    ``simulated`` states whether a log is simulated.
+    ``simulated`` is True if any log is simulated.
     """
 
     identification: Identification
@@ -97,7 +97,7 @@ class Evidence:
 
 
 def identification_page(document: JsonObject, evidence: Evidence) -> SectionedPage:
-    """Return the page on an identification. ``document`` is what `pipeline identify --json` prints."""
+    """Return the page on an identification. ``document`` is the output of `pipeline identify --json`."""
     found, motion = evidence.identification, document["motion"]
     force = document["measured_force"]
     drive = () if force is None else (force["reason"] or FORCE.format(_percent(force["fit_percent"])),)
@@ -162,7 +162,7 @@ def _sentence(text: str) -> str:
 
 
 def _number(row: Mapping[str, Any]) -> str:
-    """Return a number with unit and interval."""
+    """Return a number with its unit and interval."""
     value, low, high = interval_texts(row["value"], row["low"], row["high"])
     unit = f" {unit_text(row['unit'])}" if row["unit"] else ""
     return f"{value}{unit} ({low} to {high})"
@@ -177,16 +177,16 @@ def _answers(document: JsonObject, found: Identification) -> Sequence[tuple[str,
     parts, undecided = (
         [name for name, gain in found.parts.items() if (gain > 0) is found_in] for found_in in (True, False)
     )
-    unknown_parts = f" Neither found nor excluded: {listed(undecided)}." if undecided else ""
+    unknown_parts = f" Neither identified nor excluded: {listed(undecided)}." if undecided else ""
     loop, replay = document["loop"], document["replay"]
     if replay["fit_percent"] is None:
-        prediction = "No log could be replayed, so nothing tests the device."
+        prediction = "No log could be replayed, so the device has not been tested."
     else:
         follows = "The device follows" if replay["follows"] else "No device with these parts follows"
         fit, naive = replay["fit_percent"], replay["naive_percent"]
         prediction = (
-            f"{follows} the command: free runs fit {_percent(fit)} of the velocity of logs that were left out "
-            f"(median), and a motion without the command {_percent(naive)}."
+            f"{follows} the command: free runs reach a fit of {_percent(fit)} of the velocity of left-out logs "
+            f"(median), and a motion without the command reaches {_percent(naive)}."
         )
     limits = document["boundary"]
     walls = f"None is predicted: {loop['reason']}."
@@ -196,13 +196,21 @@ def _answers(document: JsonObject, found: Identification) -> Sequence[tuple[str,
     gravity = []
     if (weight := document["gravity"]) is not None:
         torque, angle = (_number(weight[name]) for name in ("torque", "angle"))
-        gravity = [("Gravity", f"Its torque is up to {torque}. The device would hang at rest at {angle}.")]
+        gravity = [
+            (
+                "Gravity",
+                f"The torque due to gravity is up to {torque}. The device would hang at rest at an angle of {angle}.",
+            )
+        ]
     return [
         ("Device", device.strip()),
         *gravity,
         ("Parts", f"{listed(['mass', 'damping', 'delay', *parts]).capitalize()}.{unknown_parts}"),
         ("Prediction", prediction),
-        ("Errors", found.departure or "No dependence on direction, command, place or time is reported."),
+        (
+            "Errors",
+            found.departure or "The errors do not depend significantly on direction, command, position or time.",
+        ),
         ("Walls", walls),
     ]
 
@@ -219,15 +227,17 @@ def sentences_on_unused(document: JsonObject) -> list[str]:
 
 
 def idle_sentences(document: JsonObject) -> list[str]:
-    """Return the sentence on rows that were left out because the command does not act."""
+    """Return a sentence on rows that were left out because the command does not act, or an empty list."""
     idle = document["idle_starts"]
     if not idle:
         return []
     first = f"{idle[0]['log']}, first {idle[0]['rows']} rows ({idle[0]['duration_s']:.3g} s)"
     where = first if len(idle) == 1 else f"{len(idle)} logs, such as {first}"
     return [
-        f"The command does not act at the start of {where}: the drive was off, or the device was blocked. These rows "
-        "are left out."
+        (
+            f"The command does not act at the start of {where}, because the drive was off or the device was blocked. "
+            "These rows are left out."
+        )
     ]
 
 
@@ -258,11 +268,11 @@ def _runs(found: Identification, motion: Motion) -> Section:
     if panels:
         logs = listed([f"{each.log} ({name})" for name, each in zip(_ranks(len(shown)), shown, strict=True)])
         caption = (
-            f"{logs}. Above the velocity, below the displacement since the start of the log; wide line: measured, thin "
-            f"line: free run. Each free run covers about {TIME_CONSTANTS:g} time constants of the device, or the whole "
-            "log, and begins from its best initial state."
+            f"{logs}. The velocity is shown above, and the displacement since the start of the log below. Wide line: "
+            f"measured; thin line: free run. Each free run covers about {TIME_CONSTANTS:g} time constants of the "
+            "device, or the whole log, and begins from its estimated initial state."
         )
-        figures = [Figure("response", "runs", "Measured motion against free runs", caption, tuple(panels))]
+        figures = [Figure("response", "runs", "Measured motion and free runs", caption, tuple(panels))]
     rows = [
         {"log": each.log, "fit": _finite(each.fit_percent), "naive": _finite(each.naive_percent)}
         for each in found.replay
@@ -273,8 +283,11 @@ def _runs(found: Identification, motion: Motion) -> Section:
         Column("fit", "free run", "% of the velocity", show=lambda value, _: _percent(value)[:-2], why=why),
         Column("naive", "motion without the command", "%", show=lambda value, _: _percent(value)[:-2], why=why),
     )
-    table = table_of("replay", "Fit of each log by the device that was fitted without it", columns, rows, _log)
-    text = "Each log is predicted by a device that was fitted without it. With one log, its last part is predicted."
+    table = table_of("replay", "Fit of each log by a device that was fitted without this log", columns, rows, _log)
+    text = (
+        "Each log is predicted by a device that was fitted without this log. If there is only one log, its last part "
+        "is predicted."
+    )
     return Section("runs", "Free runs", (text if rows else "No log could be replayed.",), figures, (table,))
 
 
@@ -324,7 +337,7 @@ def _run(each: Replay, title: str, motion: Motion) -> Panel:
 
 
 SMALL = 0.5
-"""Largest displacement [m, rad] that is drawn in mm or mrad, whose numbers are shorter."""
+"""Largest displacement [m, rad] that is drawn in mm or mrad, because the numbers are then shorter."""
 
 
 def _grouped(name: str, residuals: Residuals, at: Floats, label: str, unit: str) -> Panel:
@@ -335,7 +348,7 @@ def _grouped(name: str, residuals: Residuals, at: Floats, label: str, unit: str)
         groups = Quartiles.of(residuals.residual, at, ends if ends[0] < ends[1] else (ends[0], ends[0] + 1.0), inside)
         if not len(groups.centre):
             continue
-        # bars of both directions are drawn next to each other
+        # the bars of the two directions are drawn next to each other
         centre = groups.centre + (number - 0.5) * BESIDE * (ends[1] - ends[0]) / GROUPS
         numbers = centre, groups.median, groups.low, groups.high
         series.append(Series(direction, "group", *numbers, number=number, along="y"))
@@ -374,7 +387,8 @@ def _by_direction(residuals: Residuals, unit: str) -> Panel:
 
 
 def _residual_section(residuals: Residuals, found: Identification, motion: Motion, input_label: str) -> Section:
-    """Return the section on the residuals of the velocity, and on what the prediction errors depend on."""
+    """Return the section on the residuals of the velocity, and on the dependence of the prediction errors on other
+    quantities."""
     shares = shares_between_groups(found.choice)
     rows = [
         {
@@ -389,12 +403,14 @@ def _residual_section(residuals: Residuals, found: Identification, motion: Motio
         Column("share", "share of their variance", show=lambda value, _: percent(value)),
         Column("result"),
     )
-    caption = "Prediction errors one row ahead: share of their variance between groups"
+    caption = "Errors of the prediction one row ahead: share of their variance between groups"
     table = table_of("shares", caption, columns, rows, lambda row: str(row["grouping"]))
     sentences = [
-        "The residual is the measured velocity less that of the free runs, of all logs that were replayed.",
-        f"Prediction errors are reported to depend on a quantity if at least {percent(SHARE)} of their variance lies "
-        "between its groups.",
+        "The residual is the measured velocity minus the velocity of the free runs, for all replayed logs.",
+        (
+            f"Prediction errors are reported to depend on a quantity if at least {percent(SHARE)} of their variance is "
+            "between the groups of this quantity."
+        ),
     ]
     if not len(residuals.residual):
         return Section("residuals", "Residuals", ("No log could be replayed.", sentences[1]), (), (table,))
@@ -407,7 +423,7 @@ def _residual_section(residuals: Residuals, found: Identification, motion: Motio
     )
     words = (
         f"Markers: median of the residual in each of {GROUPS} groups; bars: from the first to the third quartile. If "
-        "nothing is missing in the model, all medians are near zero."
+        "the model is complete, all medians are near zero."
     )
     figure = Figure("residuals", "residuals", "Residual of the velocity", words, panels, size=(440.0, 270.0))
     return Section("residuals", "Residuals", sentences, (figure,), (table,))
@@ -438,11 +454,11 @@ def _spectrum(spectra: Spectra | None, band: tuple[float, float] | None, motion:
     where = "in the band of the command" if band is not None else "at all frequencies"
     words = f"The residual has {percent(left, 1)} of the power of the velocity {where}."
     if not np.isfinite(left):
-        words = "The band of the command lies between the frequencies of the spectrum."
+        words = "The band of the command is narrower than the distance between two frequencies of the spectrum."
     caption = (
-        "Mean spectra of all logs, whose free runs are joined. Where the residual is far below the velocity, the "
-        "device explains the motion. Where both are equal, it explains nothing. Smoothing of the velocity reduces both "
-        "at high frequencies."
+        "Mean spectra of all logs, with the free runs of each log joined. Where the residual is far below the "
+        "velocity, the identified device explains the motion. Where both are equal, it explains nothing. Smoothing of "
+        "the velocity reduces both at high frequencies."
     )
     panel = Panel("", names, tuple(series), words, paint=_on_logarithmic_axes)
     figure = Figure("response", "spectrum", "Spectra of velocity and residual", caption, (panel,))
@@ -460,7 +476,7 @@ def _on_logarithmic_axes(axes: Axes) -> None:
 
 
 def _method(name: str, document: JsonObject, found: Identification) -> str:
-    """Return how a parameter is identified."""
+    """Return the method by which a parameter is identified."""
     force = document["measured_force"]
     is_apart = force is not None and force["used"] and force["reason"] is None
     if name == "force_gain" or (is_apart and name in ("actuator_lag_s", "force_limit")):
@@ -474,12 +490,12 @@ def _method(name: str, document: JsonObject, found: Identification) -> str:
     if name == "delay_samples" and "actuator_lag_s" in found.choice.bounds:
         more = f"; with a lag of up to {significant(found.choice.bounds['actuator_lag_s'], 2)} s"
     if found.drive and name in ("mass", "damping", "stiffness"):
-        more = "; spans the gains of the drive"
+        more = "; the interval covers all gains of the drive"
     return f"likelihood of {free}{more}"
 
 
 def _parameters(document: JsonObject, found: Identification) -> Table | None:
-    """Return the table of the parameters, with their methods or the reasons why they are not identified."""
+    """Return the table of the parameters, each with its method or the reason why it is not identified."""
     rows = []
     keys = {ESTIMATED[name].key: name for name in found.parameters} | {"inertia": "mass"}
     for row in document["parameters"]:
@@ -504,8 +520,9 @@ def _parameters(document: JsonObject, found: Identification) -> Table | None:
     table = table_of("parameters", "Parameters with 95 % intervals", columns, rows, lambda row: str(row["name"]))
     if table is not None:
         table.notes.append(
-            "The half width of an interval is the largest of the errors from the information of the rows, from the "
-            "differences between logs, and from those between phases of the motion, times Student's t."
+            "The half width of an interval is Student's t times the largest of three standard errors: from the "
+            "information of the rows, from the differences between logs, and from the differences between phases of "
+            "the motion."
         )
         if not document["scatter_in_interval"]:
             table.notes.append("The intervals do not include the scatter between runs, which needs at least 8 logs.")
@@ -532,16 +549,16 @@ def _combinations(document: JsonObject) -> Table | None:
 
 
 def _parts(found: Identification) -> Section:
-    """Return the section on the parts that were tried."""
+    """Return the section on the tested parts."""
     tried = found.choice.tried
     rows = []
     for name in dict.fromkeys(("friction", "stiffness", *PARTS, *tried)):
         test = tried.get(name)
         decision = DECISIONS[test.decision] if test is not None else _untried(name, found)
         if test is not None and test.decision == "accepted" and not found.parts.get(name):
-            decision = "accepted by the search; undecided, because the device does not predict its logs"
+            decision = "accepted by the search, but undecided, because the device does not predict the logs"
         numbers = {} if test is None else {"gain": _finite(test.gain), "required": test.required}
-        why = "it was not tried" if test is None else "the test ended before a fit with this part"
+        why = "not tested" if test is None else "the test ended before a fit with this part"
         rows.append({"part": name, "decision": decision, "reason": why} | numbers)
     columns = (
         Column("part"),
@@ -549,29 +566,29 @@ def _parts(found: Identification) -> Section:
         Column("required", show=lambda value, _: significant(value, 3)),
         Column("decision"),
     )
-    table = table_of("parts", "Parts that were tried", columns, rows, lambda row: str(row["part"]))
+    table = table_of("parts", "Tested parts", columns, rows, lambda row: str(row["part"]))
     text = (
         "A part is accepted only if it passes all steps of its test. The gain of the log-likelihood is that of the "
-        "last step: for an accepted part of the drive, a lag or a mode, that of logs left out."
+        "last step. For an accepted part of the drive, a lag or a mode, this is the gain for left-out logs."
     )
     return Section("parts", "Parts", (text,), (), (table,))
 
 
 def _untried(name: str, found: Identification) -> str:
-    """Return why a part was not tried."""
+    """Return the reason why a part was not tested."""
     numbers = found.choice.fit.device.numbers
     if name == "friction":
-        return "not tried: the direction of motion is not known in enough rows"
+        return "not tested: the direction of motion is known in too few rows"
     if "delay" not in numbers:
-        return "not tried: the delay cannot be identified, because the command does not change"
+        return "not tested: the delay cannot be identified, because the command does not change"
     needs = PARTS[name].needs if name in PARTS else ""
     if needs and needs not in found.parts:
-        return f"not tried: it requires a {needs}"
-    return "not tried: another part has the same number"
+        return f"not tested: it requires a {needs}"
+    return "not tested: an accepted part has the same parameter"
 
 
 def _walls(document: JsonObject) -> Section:
-    """Return the section on the walls that the device renders, or on why none is predicted."""
+    """Return the section on the walls that the device renders, or on the reason why no limit is predicted."""
     limits, motion = document["boundary"], document["motion"]
     if limits is None:
         return Section("walls", "Predicted walls", (f"No limit of walls is predicted: {document['loop']['reason']}.",))
@@ -590,7 +607,7 @@ def _walls(document: JsonObject) -> Section:
         Series("largest stiffness, 95 % interval", "estimate", *at, np.array([top["low"]]), np.array([top["high"]])),
     )
     panel = Panel("", (f"stiffness K [{K}]", f"damping B [{B}]"), series, rows)
-    caption = "Walls on the left of the line are stable. The limit is that of the linear loop, without friction."
+    caption = "Walls to the left of the line are stable. The limit is that of the linear loop, without friction."
     figure = Figure("boundaries", "walls", "Predicted limit of stable walls", caption, (panel,))
     sentences = [rows, *filter(None, (included, document["velocity_filter"]))]
     return Section("walls", "Predicted walls", sentences, (figure,))
@@ -609,6 +626,8 @@ def _log_section(document: JsonObject) -> Section:
     )
     rows = [(each["log"], str(each["rows"]), f"{each['duration_s']:.3g}") for each in document.get("idle_starts", ())]
     idle = word_table("idle", "Rows left out because the command does not act", ("log", "first rows", "time [s]"), rows)
-    copies = word_table("copies", "Logs with the samples of another log", ("log",), [(n,) for n in document["copies"]])
+    copies = word_table(
+        "copies", "Logs with the same samples as another log", ("log",), [(n,) for n in document["copies"]]
+    )
     faults = "No fault was found in the recordings." if findings is None else ""
     return Section("logs", "Logs", tuple(filter(None, (faults,))), (), (idle, findings, refused, copies))

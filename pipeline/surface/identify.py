@@ -56,17 +56,18 @@ if TYPE_CHECKING:
     from pipeline.surface.logs import PathLike
     from pipeline.surface.physical_loop import Loop
 
-DRIFT = "free runs drift because no wall corrects them; `pipeline compare` replays the logs with their walls"
-"""Remark in a document whose free runs come from logs of walls, because a drift spoils their fit."""
+DRIFT = "free runs drift because no wall corrects their errors; `pipeline compare` replays the logs with their walls"
+"""Remark in a document whose free runs come from logs of walls, because a drift reduces their fit."""
 
 TOO_SHORT = f"A log needs {SHORTEST} rows that can be used."
 """Reason why a log is not used if it has no other fault."""
 
 SHIFTED = (
     "in each log, the command is shifted by rows relative to the position, or the sampling period is wrong, so that "
-    "neither delay nor limits can be estimated. `pipeline compare` lists the finding for each log. Record them again"
+    "neither delay nor limits can be estimated. `pipeline compare` lists the finding for each log. Correct the "
+    "recording, and record the logs again"
 )
-"""Message for logs of walls that are all rejected because no device can be identified from them."""
+"""Message if logs of walls are all rejected, because no device can be identified from them."""
 
 WITHOUT_WALL = {"device": "device", "experiment": "1", "stiffness": "0", "damping": "0", "step": "0"}
 """Header entries that a native log without a wall may omit, with their default values."""
@@ -76,9 +77,9 @@ WITHOUT_WALL = {"device": "device", "experiment": "1", "stiffness": "0", "dampin
 class IdentifiedDevice:
     """A device identified from logs.
 
-    ``estimates``: ``name``, ``value``, ``low``, ``high``, ``unit``, ``told`` (whether the parameter is identifiable
+    ``estimates``: ``name``, ``value``, ``low``, ``high``, ``unit``, ``told`` (True if the parameter is identifiable
     from the logs alone). ``replay``: ``log``, ``fit_percent``, ``naive_percent``. ``loop``: the linear loop as `Loop`,
-    or None if mass or delay cannot be identified. ``document``: what `pipeline identify --json` prints.
+    or None if mass or delay cannot be identified. ``document``: output of `pipeline identify --json`.
     ``evidence``: data of the page.
     """
 
@@ -86,10 +87,7 @@ class IdentifiedDevice:
     evidence: Evidence = field(repr=False)
 
     def __str__(self) -> str:
-        """Return a table of the parameters with their intervals.
-
-        It includes the parameters that are not identifiable.
-        """
+        """Return a table of the parameters with their intervals, including the parameters that are not identifiable."""
         return str(self.estimates.to_string(index=False, na_rep="–"))
 
     @property
@@ -100,8 +98,8 @@ class IdentifiedDevice:
 
     @property
     def replay(self) -> pd.DataFrame:
-        """Fit [%] of replayed free runs to the velocity of logs. Each log is left out of the estimation that predicts
-        it.
+        """Fit [%] of free runs to the velocity of logs. Each log is left out of the estimation of the device that
+        predicts this log.
 
         ``naive_percent`` is the fit of a motion that ignores the command.
         """
@@ -133,8 +131,8 @@ class IdentifiedDevice:
     def write_report(self, path: PathLike) -> Path:
         """Write a page on the identification, and return its path.
 
-        The page shows measured motion against free runs, residuals, parameters, parts that were tried, and walls. An
-        existing page is replaced.
+        The page compares the measured motion with free runs, and shows residuals, parameters, tested parts, and walls.
+        An existing page is replaced.
 
         Raises
         ------
@@ -150,7 +148,7 @@ class IdentifiedDevice:
 class WallSampling(NamedTuple):
     """Sampling period [s] and delay [samples] of the walls that a device would render.
 
-    None is replaced by the value of the logs.
+    A value of None is replaced by that of the logs.
     """
 
     period: float | None = None
@@ -188,7 +186,8 @@ def identify(
     Raises
     ------
     LogError
-        If all logs are rejected. The message names path and row. Otherwise, the document lists the rejected logs.
+        If all logs are rejected. The message names the path and the row. If only some logs are rejected, the document
+        lists them.
     ParameterError
         If the logs have no motion, no command or too few rows, a value is out of range, or most logs were recorded
         incorrectly.
@@ -265,7 +264,7 @@ def _identified(read_logs: _Read, wall: WallSampling) -> IdentifiedDevice:
     known = {name: device.motion for name, device in known_devices().items()}
     motions = {motion_of(log, known) for _, log in read}
     if len(motions) > 1:
-        raise ParameterError("some logs record a translation, others a rotation. Give the logs of one device.")
+        raise ParameterError("some logs record a translation, others a rotation. Select the logs of only one device.")
     check_findings(read)
     faulty = {name: each.sentence for name, log in read for each in log.findings if each.leaves_out}
     trials = [measured_trial(name, log) for name, log in read if name not in faulty]
@@ -273,7 +272,7 @@ def _identified(read_logs: _Read, wall: WallSampling) -> IdentifiedDevice:
     unused = dict.fromkeys(dict(read).keys() - {each.name for each in recordings}, TOO_SHORT)
     unused |= faulty | unusable_trials(trials)
     if motions == {"rotation"} and not any(any(each.wall) for each in recordings):
-        # gravity acts on an arm in free motion; behind a wall, it hardly moves
+        # gravity is estimated only for free motion, because an arm at a wall hardly moves
         recordings = [replace(each, turns=True) for each in recordings]
     if not recordings:
         raise ParameterError(SHIFTED)
@@ -292,7 +291,7 @@ def _identified(read_logs: _Read, wall: WallSampling) -> IdentifiedDevice:
 
 
 def with_forces(recordings: list[Recording], read: Sequence[tuple[str, Log]]) -> list[Recording]:
-    """Return recordings with the measured forces of their logs. Without one in each log, none is used."""
+    """Return recordings with the measured forces of their logs. The forces are used only if each log has one."""
     logs = dict(read)
     found = []
     for each in recordings:
@@ -305,7 +304,7 @@ def with_forces(recordings: list[Recording], read: Sequence[tuple[str, Log]]) ->
 
 
 class _Found(NamedTuple):
-    """Identified device, the same device per unit of the command, and how it was identified.
+    """Identified device, the same device per unit of the command, and details of the identification.
 
     Parameters
     ----------
@@ -313,7 +312,7 @@ class _Found(NamedTuple):
     drive : MeasuredDrive or None
         Drive, if a force is measured.
     by_force : bool
-        Whether the device is identified from this force.
+        True if the device is identified from this force.
     idle : list of IdleStart
         Rows at the start of logs that were left out because the command does not act.
     """
@@ -327,9 +326,10 @@ class _Found(NamedTuple):
 
 def _device_of(recordings: list[Recording]) -> _Found:
     """Return the device of recordings. With a measured force that explains the motion, device and drive are identified
-    apart.
+    separately.
 
-    A force sensor may also measure another force, such as that of a hand. The command then identifies the device.
+    A force sensor may also measure a different force, such as that of a hand. The device is then identified from the
+    command.
     """
     if any(each.force is None for each in recordings):
         found, idle = identified_while_driven(recordings)
@@ -337,7 +337,7 @@ def _device_of(recordings: list[Recording]) -> _Found:
     try:
         apart = identified_by_force(recordings)
     except ParameterError as error:
-        drive = unknown_drive(f"The measured force identifies no device: {error}")
+        drive = unknown_drive(f"No device can be identified from the measured force: {error}")
     else:
         device, drive = apart.device, apart.drive
         if follows(device.fit_percent, device.naive_percent):
@@ -350,12 +350,13 @@ def _device_of(recordings: list[Recording]) -> _Found:
 
 
 def _unparted(profile: Profile) -> Profile:
-    """Return a copy of the profile that reads a staircase as one motion, because the steps share rows."""
+    """Return a copy of the profile that reads a staircase as a single motion, because its separate steps would share
+    rows."""
     return profile.model_copy(update={"kind": "free"}) if profile.kind == "staircase" else profile
 
 
 class _Read(NamedTuple):
-    """Logs that were read, with their names; duplicates of earlier logs, which are not counted; rejected files."""
+    """Logs that were read, with their names. Duplicates of earlier logs, which are not counted. Rejected files."""
 
     logs: list[tuple[str, Log]]
     copies: list[tuple[str, Log]]
@@ -408,7 +409,7 @@ def _read(reading: Reading) -> _Read:
         raise why if source.shown in why.reason else why.reworded(f"{source.shown}: {why.reason}")
     if not read:
         names = ", ".join(map(str, reading.paths))
-        raise UsageError(f"{names}: no log found. Give log files, or folders that contain logs.")
+        raise UsageError(f"{names}: no log found. Name log files, or folders that contain logs.")
     refused = [{"path": source.shown, "reason": error.reason, "row": error.row} for source, error in errors]
     return _Read(read, copies, refused)
 
@@ -472,7 +473,8 @@ def _logs(source: Source) -> tuple[Log, ...]:
 
 
 def _completed(raw: RawLog) -> RawLog:
-    """Return a native log with default conditions added, which a log without a wall may omit."""
+    """Return the bytes of a native log, completed by default values of the conditions that a log without a wall may
+    omit."""
     text = raw.data[0]
     head = [
         line for line in text[:20_000].decode("utf-8", "replace").splitlines() if line.lstrip("\ufeff").startswith("#")
@@ -481,7 +483,7 @@ def _completed(raw: RawLog) -> RawLog:
     more = {key: value for key, value in WITHOUT_WALL.items() if key not in named}
     if "sampling_period_s" not in named:
         more["sampling_period_s"] = repr(_period(text))
-    # The lines are appended to the header, so that row numbers in messages about earlier lines match the file.
+    # The lines are appended to the header, so that row numbers in messages about the header match the file.
     lines = "".join(f"# {key}: {value}\n" for key, value in more.items()).encode()
     start = text.find(b"time_s")
     return replace(raw, data=(text[:start] + lines + text[start:],)) if more and start >= 0 else raw
@@ -490,7 +492,8 @@ def _completed(raw: RawLog) -> RawLog:
 def _period(text: bytes) -> float:
     """Return the median time between the first rows of a log [s].
 
-    Unreadable times are left out, and without two times the result is 1. The reader then refuses the log with the row.
+    Unreadable times are left out. With fewer than two times, the result is 1, and the reader then refuses the log with
+    the row.
     """
     rows = [line.split(b",")[0] for line in text[:200_000].splitlines() if line[:1].isdigit() or line[:1] in b"-+."]
     times = []
@@ -591,14 +594,14 @@ def _gain_rows(drive: MeasuredDrive | None, motion: Motion) -> list[dict[str, An
 
 
 def _force_document(drive: MeasuredDrive, is_used: bool) -> dict[str, Any]:
-    """Return whether the device is identified from the measured force, how well the drive explains it, and why the
-    drive is not identified."""
+    """Return the entry of the document on a measured force: whether the device is identified from the force, the fit of
+    the drive, and the reason if the drive is not identified."""
     fit = drive.fit_percent
     return {"used": is_used, "fit_percent": fit if np.isfinite(fit) else None, "reason": drive.reason or None}
 
 
 def _factor(name: str, period: float) -> float:
-    """Return the factor from the unit of a parameter to that in the document, where a delay is in seconds."""
+    """Return the factor from the unit of a parameter to its unit in the document, where a delay is in seconds."""
     return period if name == "delay_samples" else 1.0
 
 
@@ -634,12 +637,12 @@ def _with_units(numbers: Mapping[str, Interval], units: dict[str, str], other: s
 
 
 def _jitters(loop: dict[str, Any]) -> bool:
-    """Return whether the delay of a loop jitters significantly."""
+    """Return True if the delay of a loop jitters significantly."""
     return loop["jitter_samples"] is not None and loop["jitter_samples"]["low"] > 0
 
 
 def _drawn_delays(loop: dict[str, Any]) -> tuple[int, ...]:
-    """Return integer delays whose applied command has the delay and jitter of a loop, within their errors.
+    """Return integer delays for which the applied command has the delay and the jitter of a loop, within their errors.
 
     The result is empty if the delay does not jitter.
     """
@@ -656,7 +659,7 @@ def _drawn_delays(loop: dict[str, Any]) -> tuple[int, ...]:
 def _loop_document(apart: _Found, drift: str, velocity: WallFilter | None) -> dict[str, Any]:
     """Return the loop in the format of `compare --json`, with the reason why free runs may drift.
 
-    Its numbers are per unit of the command, as a wall sees the device.
+    The numbers of the loop are per unit of the command, as a wall sees the device.
     """
     found = apart.by_command
     known = {name: each for name, each in found.parameters.items() if name not in found.unidentifiable}
@@ -679,7 +682,7 @@ def _loop_document(apart: _Found, drift: str, velocity: WallFilter | None) -> di
         "reason": (
             "no log could be replayed"
             if fit is None
-            else f"free runs fit the velocity of the logs left out to {fit:.1f} % (without the command {naive:.1f} %)"
+            else f"free runs fit {fit:.1f} % of the velocity of left-out logs (without the command {naive:.1f} %)"
         )
         + ("" if is_known else "; mass or delay cannot be identified from these logs")
         + ("; the gain of the drive differs by direction" if "asymmetry" in found.drive else "")
@@ -699,8 +702,7 @@ def _loop_document(apart: _Found, drift: str, velocity: WallFilter | None) -> di
 def wall_loop(document: dict[str, Any], **other: float) -> LoopRecord | None:
     """Return the linear loop of a document for the wall that it would render.
 
-    ``other`` replaces numbers of the document. Its keys are names in `LINEAR`. The result is None without mass or
-    delay.
+    ``other`` replaces numbers of the document, with keys from `LINEAR`. The result is None without mass or delay.
     """
     loop, wall = document["loop"], document["wall"]
     value = {name: loop[name]["value"] if loop[name] else None for name in LINEAR} | other
@@ -711,8 +713,8 @@ def wall_loop(document: dict[str, Any], **other: float) -> LoopRecord | None:
         return None
     drawn = wall["jitter_samples"]
     if drawn:
-        # A device file states the mean of the drawn delays. The applied command has a smaller delay: later ones
-        # overtake it.
+        # A device file states the mean of the drawn delays. The delay of the applied command is smaller, because later
+        # commands overtake earlier ones.
         samples += sum(drawn) / len(drawn) - loop["delay_samples"]["value"]
     damping, stiffness, lag = (max(value[name] or 0.0, 0.0) for name in ("damping", "stiffness", "actuator_lag_s"))
     velocity = {name: number["value"] for name, number in (loop["velocity"] or {}).items()}
@@ -737,7 +739,7 @@ def wall_loop(document: dict[str, Any], **other: float) -> LoopRecord | None:
 
 
 LINEAR = ("mass", "damping", "stiffness", "delay_samples", "actuator_lag_s")
-"""Names of the parameters of a linear loop in a document, without those of the vibration mode."""
+"""Names of the parameters of a linear loop in a document, except those of the vibration mode."""
 
 
 def _border(loop: LoopRecord, points: int) -> dict[str, Any]:
@@ -800,10 +802,14 @@ def device_text(document: dict[str, Any], name: str) -> str:
         ends = f"{number['low']:.6g} to {number['high']:.6g} {PARAMETERS[key].unit(motion)}"
         return f"{key} = {number['value']!r}  # {ends} (95 %)"
 
-    delay, about_delay = numbers["delay_samples"], "given, or not identifiable from the logs"
+    delay, about_delay = numbers["delay_samples"], "stated by the user, or not identifiable from the logs"
     if delay is not None and wall["delay_samples"] is None:
         about_delay = f"at T = {document['sampling_period_s']:g} s: {delay['low']:.6g} to {delay['high']:.6g} (95 %)"
-        about_delay = f"mean of jitter_samples; in force {about_delay}" if loop.jitter_samples else about_delay
+        about_delay = (
+            f"mean of jitter_samples; delay of the applied command {about_delay}"
+            if loop.jitter_samples
+            else about_delay
+        )
     lines = [
         f"# Identified from {document['trials']} logs, {document['rows']} rows. {numbers['reason']}.",
         *([f"# {document['velocity_filter']}"] if document["velocity_filter"] else []),
@@ -841,25 +847,28 @@ def _gain_lines(document: dict[str, Any]) -> list[str]:
     """Return the line of a device file on the gain of the drive, if it is identified from a measured force."""
     rows = (row for row in document["parameters"] if row["name"] == "force_gain" and row["told"])
     return [
-        "# All numbers are per unit of the command. Force per unit of the command, by the measured force: "
+        "# All numbers are per unit of the command. Force per unit of the command, from the measured force: "
         f"{row['low']:.6g} to {row['high']:.6g} {row['unit']} (95 %)".replace("  ", " ")
         for row in rows
     ]
 
 
 def _jitter_lines(document: dict[str, Any], loop: LoopRecord) -> list[str]:
-    """Return the lines of a device file that describe the jitter of the delay. Without jitter, there are none."""
+    """Return the lines of a device file that describe the jitter of the delay, if there is any."""
     if "jitter" not in document["left_out"]:
         return []
     jitter = document["loop"]["jitter_samples"]
-    about = f"standard deviation of the delay in force {jitter['low']:.4g} to {jitter['high']:.4g} samples (95 %)"
+    about = (
+        f"standard deviation of the delay of the applied command {jitter['low']:.4g} to {jitter['high']:.4g} samples "
+        "(95 %)"
+    )
     if loop.jitter_samples:
         return [f"jitter_samples = {list(loop.jitter_samples)}  # {about}"]
     return [f"# The delay jitters, {about}. Omitted: no set of integer delays reproduces this jitter."]
 
 
 def _gravity_lines(document: dict[str, Any]) -> list[str]:
-    """Return the lines of a device file that describe gravity, which it cannot contain."""
+    """Return comment lines of a device file on gravity, because the loop of a device file does not include gravity."""
     if (gravity := document["gravity"]) is None:
         return []
     torque, angle = (gravity[name]["value"] for name in ("torque", "angle"))
@@ -877,6 +886,9 @@ def _remedies(document: dict[str, Any]) -> list[str]:
     if document["loop"]["delay_samples"] is None:
         wanted = "a change of the command within a log"
         if "delay" not in document["assumed_none"]:  # there are some
-            wanted = "larger steps, or use a finer sensor: noise, resolution or friction hide the start of motion"
-        sentences.append(f"For the delay, record {wanted}; or give --delay.")
+            wanted = (
+                "larger steps, or use a finer sensor, because noise, resolution or friction hide the start of the "
+                "motion"
+            )
+        sentences.append(f"To identify the delay, record {wanted}. Alternatively, state it with --delay.")
     return list(dict.fromkeys(sentences))

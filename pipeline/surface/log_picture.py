@@ -38,7 +38,7 @@ MOST_TRIALS = 12
 
 @dataclass(frozen=True, eq=False)
 class LogPicture:
-    """Picture of a log, with its path, titled trials with their columns, remarks, and the label of the abscissa."""
+    """Picture of a log: path, trials with titles and columns, remarks, and label of the abscissa."""
 
     log: str
     trials: tuple[tuple[str, tuple[RecordedColumn, ...]], ...]
@@ -106,7 +106,7 @@ def look(path: PathLike, profile: PathLike | Profile | None = None) -> LogPictur
     log, given = Path(path), None if profile is None else load_profile(_named(profile))
     sources = find_sources([log], requested_profiles(given, [log]).profiles)
     if len(sources) != 1:
-        raise UsageError(f"{log}: expected one log, found {len(sources)}. Give a single file.")
+        raise UsageError(f"{log}: expected one log, found {len(sources)}. Name a single file.")
     (source,) = sources
     try:
         claimant, _, outcome = logs_of(source)
@@ -119,7 +119,7 @@ def look(path: PathLike, profile: PathLike | Profile | None = None) -> LogPictur
         return LogPicture(str(log), (_as_it_stands(log),), tuple(notes), "row")
     notes = [f"Read by profile {claimant.name}, in SI."]
     if len(outcome) > MOST_TRIALS:
-        notes.append(f"The file contains {len(outcome)} trials; the first {MOST_TRIALS} are shown.")
+        notes.append(f"The file contains {len(outcome)} trials. Only the first {MOST_TRIALS} are shown.")
     motions = {name: device.motion for name, device in known_devices().items()}
     trials = []
     for one in outcome[:MOST_TRIALS]:
@@ -134,7 +134,7 @@ def _named(profile: PathLike | Profile) -> str | Path | Profile:
 
 
 def _drawn(log: Log, motion: Motion) -> tuple[str, tuple[RecordedColumn, ...], list[str]]:
-    """Return the title of a trial, its columns, and remarks. The first remark states how the step was found."""
+    """Return the title of a trial, its columns, and remarks. The first remark states the origin of the step."""
     row, how = step_of(log)
     columns = tuple(
         _column(key, si_unit(quantity(key, motion)), log.time, values, log.time, row)
@@ -166,7 +166,7 @@ def _column(name: str, unit: str, place: Floats, values: Floats, time: Floats, s
 
 
 def step_of(log: Log) -> tuple[int | None, str]:
-    """Return the row of the step of a log, and how it was found. Without a step: None, and the reason."""
+    """Return the row of the step of a log, and its origin. Without a step, return None and the reason."""
     header = log.header
     if "step_row" in header.extra:
         row = int(header.extra["step_row"])

@@ -75,16 +75,16 @@ def read_log(path: PathLike, profile: PathLike | None = None, label: str | None 
     profile : str or path, optional
         As for `ingest`.
     label : str, optional
-        Label of the trial. It is needed if the file contains several trials.
+        Label of the trial. The label is required if the file contains several trials.
 
     Returns
     -------
     pandas.DataFrame
         ``time_s`` [s], ``command`` [N, Nm] (before any delay), ``position`` [m, rad], ``force`` [N, Nm] and
-        ``velocity`` [m/s, rad/s] (NaN if the log lacks it), one row per sample. ``attrs``: ``units``, and ``device``,
-        ``experiment``, ``stiffness``, ``damping``, ``step``, ``sampling_period_s``, ``added_delay_samples``, ``grip``,
-        ``motion``, ``simulated``, ``label``, ``warnings``, ``findings`` (faults of the recording, each with ``code``,
-        ``first_row``, ``rows``, ``evidence``, ``remedy``, ``severity``).
+        ``velocity`` [m/s, rad/s] (the last two NaN if the log does not contain them), one row per sample. ``attrs``:
+        ``units``, and ``device``, ``experiment``, ``stiffness``, ``damping``, ``step``, ``sampling_period_s``,
+        ``added_delay_samples``, ``grip``, ``motion``, ``simulated``, ``label``, ``warnings``, ``findings`` (faults of
+        the recording, each with ``code``, ``first_row``, ``rows``, ``evidence``, ``remedy``, ``severity``).
 
     Raises
     ------
@@ -96,7 +96,9 @@ def read_log(path: PathLike, profile: PathLike | None = None, label: str | None 
     given = _profile(profile)
     sources = find_sources([Path(path)], requested_profiles(given, [Path(path)]).profiles)
     if len(sources) != 1:
-        raise UsageError(f"{path}: expected one log, found {len(sources)}. Give one file, or store all with `ingest`.")
+        raise UsageError(
+            f"{path}: expected one log, found {len(sources)}. Name a single file, or store all logs with `ingest`."
+        )
     (source,) = sources
     try:
         log = _chosen(logs_of(source)[2], label, path)
@@ -135,7 +137,7 @@ def simulate(
     seed : int
         Seed of noise and jitter. The same seed gives the same logs.
     ideal : bool
-        Whether to simulate without noise, quantisation and jitter.
+        True for a simulation without noise, quantisation and jitter.
     coarsen : int
         Use every n-th damping, and n times the stiffness step, for a small experiment.
     duration_s : float, optional
@@ -143,13 +145,13 @@ def simulate(
     out : path, optional
         Folder to which the logs and the ground truth are also written. `ingest` can read it.
     overwrite : bool
-        Whether to replace the logs of an earlier simulation in ``out``.
+        True to replace the logs of an earlier simulation in ``out``.
 
     Returns
     -------
     list of pandas.DataFrame
-        One for each trial, in the order of recording. Each is like the result of `read_log`, and its ``attrs`` also
-        have the ``trial`` (name of its log) and the ``verdict``.
+        One data frame for each trial, in the order of recording, like the result of `read_log`. Its ``attrs`` also have
+        the ``trial`` (name of the log) and the ``verdict``.
 
     Raises
     ------

@@ -23,17 +23,18 @@ def plan(
     gentle: bool = False,
     limits: Mapping[str, float] | None = None,
 ) -> Plan:
-    """Recommend which walls to try next, and state whether the limits are known, as `pipeline plan` does.
+    """Recommend the next walls to test, and state whether the limits are known, as `pipeline plan` does.
 
     Parameters
     ----------
     device : str or path
         Device name as in the logs, or a device file (.toml).
     processed : path
-        Folder of the stored tables. Without stored trials, the device file gives the initial range. The recommended
-        walls are stored in the folder, so that the next plan can compare them with the walls that the rig used.
+        Folder of the stored tables. Without stored trials, the device file determines the initial range. The
+        recommended walls are stored in the folder, so that the next plan can compare them with the walls that the rig
+        used.
     experiment : str, optional
-        By default, the only stored experiment, or without stored trials the first experiment of the device file.
+        By default, the only stored experiment. Without stored trials, the first experiment of the device file.
     goal : str
         ``boundary``, ``optimum`` (the best wall by settle_2pct), or the name of a criterion.
     count : int
@@ -41,7 +42,7 @@ def plan(
     dampings : sequence of float
         B at which the limits are to be found [Ns/m, Nms/rad]. The default is a set that covers the range.
     gentle : bool
-        Whether to prefer stable walls and approach limits from below.
+        True to prefer stable walls, and to approach limits from below.
     limits : mapping, optional
         Bounds of the recommended walls: ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m, Nms/rad], ``force`` [N, Nm] of
         the command, ``travel`` [m, rad] of the start from the centre.
@@ -56,7 +57,7 @@ def plan(
     Raises
     ------
     DeviceError
-        If neither a device file nor a log gives an initial range, or the experiment is unknown.
+        If neither a device file nor a log provides an initial range, or the experiment is unknown.
     UsageError
         If several experiments are stored and none is named, the bounds exclude every wall, or an argument is invalid.
 

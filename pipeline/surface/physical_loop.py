@@ -25,7 +25,7 @@ from pipeline.theory.passivity import passive_outline, stiffest_passive
 from pipeline.theory.poles import Margins, margins
 from pipeline.theory.reachable import Reachable, reachable
 
-if TYPE_CHECKING:  # loading them takes longer than computing most results
+if TYPE_CHECKING:  # importing these takes longer than computing most results
     import pandas as pd
     from matplotlib.axes import Axes
     from scipy.signal import StateSpace
@@ -35,10 +35,10 @@ _FEWEST_SAMPLES = 50
 """Smallest number of samples of a simulated log from which a limit can be estimated."""
 
 _DRAWN_LIMITS = 24
-"""Number of dampings at which a limit with friction is drawn."""
+"""Number of dampings at which a limit with friction is computed for a picture."""
 
 _ROUNDING = 1e-15
-"""Rounding error of a limit, relative to the stiffness of the device."""
+"""Largest magnitude of a limit that is a rounding error, relative to the stiffness of the device."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +46,10 @@ class LoopOptimum:
     """Best virtual wall of a loop by a criterion.
 
     ``stiffness`` K [N/m, Nm/rad], ``damping`` B [Ns/m, Nms/rad]. ``cost``: settling times in samples, overshoot as a
-    fraction, energies dimensionless; None if the criterion defines no cost. ``reason``: why there is no cost, or that
-    the optimum is a limit that no stable wall reaches. ``box``: smallest and largest stiffness, then smallest and
-    largest damping, of a region of equally good walls. ``note``: mentions stable walls that were not searched, a
-    negative stiffness, or an unstable tuning. ``left_out``: parts of the loop that theory does not include.
+    fraction, energies dimensionless; None if the criterion defines no cost. ``reason``: why there is no cost, or a
+    statement that the optimum is a limit that no stable wall reaches. ``box``: smallest and largest stiffness, then
+    smallest and largest damping, of a region of equally good walls. ``note``: remark on stable walls that were not
+    searched, a negative stiffness, or an unstable tuning. ``left_out``: parts of the loop that theory does not include.
     """
 
     criterion: str
@@ -189,11 +189,11 @@ class Loop(device_loop.Loop):
         Returns
         -------
         pandas.DataFrame
-            ``damping`` B [Ns/m, Nms/rad] and ``stiffness`` K [N/m, Nm/rad], in order along the boundary. A row of nan
-            lies between separate regions. ``attrs`` has the extremes ``stiffness_max``, ``damping_at_stiffness_max``,
-            ``damping_max`` and ``stiffness_at_damping_max``. It also has ``islands``, stable intervals of stiffness
-            beyond an unstable gap (``damping``, ``stiffness_low``, ``stiffness_high``), which occur only for loops with
-            filter, lag or mode.
+            ``damping`` B [Ns/m, Nms/rad] and ``stiffness`` K [N/m, Nm/rad], in order along the boundary. Separate
+            regions are separated by a row of nan. ``attrs`` has the extremes ``stiffness_max``,
+            ``damping_at_stiffness_max``, ``damping_max`` and ``stiffness_at_damping_max``. It also has ``islands``,
+            stable intervals of stiffness beyond an unstable gap (``damping``, ``stiffness_low``, ``stiffness_high``),
+            which occur only for loops with filter, lag or mode.
 
         Raises
         ------
@@ -261,10 +261,10 @@ class Loop(device_loop.Loop):
         pandas.DataFrame
             ``damping`` B, and ``stiffness`` K [N/m, Nm/rad] below which all walls are stable in linear theory, accurate
             to 1e-9 (nan if no wall is stable). With a ``step``, also ``stiffness_step``, the softest wall that is
-            unstable for this step, which reports show with the measured limits; and ``stiffness_step_open``, half of
-            the range in which the simulated logs are undecided. ``stiffness_step`` is nan if the search, from the
-            linear limit upwards by 1.5 times the largest linear limit, meets no unstable wall. A larger step makes
-            softer walls unstable, down to ``stiffness``.
+            unstable for this step, which reports show with the measured limits, and ``stiffness_step_open``, half of
+            the range in which the simulated logs are undecided. ``stiffness_step`` is nan if no unstable wall is found
+            in the search, which extends upwards from the linear limit by 1.5 times the largest linear limit. A larger
+            step makes softer walls unstable, down to ``stiffness``.
 
         Raises
         ------
@@ -315,7 +315,7 @@ class Loop(device_loop.Loop):
         Raises
         ------
         UsageError
-            If the file has another extension.
+            If the file has a different extension.
         ParameterError
             As in `limits`, or if no wall is stable.
         """
@@ -350,7 +350,7 @@ class Loop(device_loop.Loop):
         return LoopOptimum(*wall, best.cost, best.reason, best.box, best.note, self.left_out)
 
     def best_damping(self, stiffness: object, criterion: str) -> pd.DataFrame:
-        """Return the best damping for each stiffness by a criterion.
+        """Return the best damping by a criterion for each stiffness.
 
         Parameters
         ----------
@@ -390,7 +390,7 @@ class Loop(device_loop.Loop):
         -------
         pandas.DataFrame
             ``damping`` [Ns/m, Nms/rad] and ``stiffness`` [N/m, Nm/rad], in order along the closed boundary. ``attrs``
-            has ``stiffness_max`` and ``damping_at_stiffness_max``. All are zero for a device without damping.
+            has ``stiffness_max`` and ``damping_at_stiffness_max``. All values are zero for a device without damping.
 
         Raises
         ------
@@ -411,8 +411,8 @@ class Loop(device_loop.Loop):
     def robust(self) -> pd.DataFrame:
         """Return the boundary of the walls that are stable with any spring in parallel to the device.
 
-        The stiffness of the device is one of these springs, so that the result does not depend on it. Passive walls are
-        robust in this sense.
+        The stiffness of the device is one of these springs. The result therefore does not depend on this stiffness.
+        Passive walls are robust in this sense.
 
         Returns
         -------
@@ -474,13 +474,13 @@ class Loop(device_loop.Loop):
     ) -> pd.DataFrame:
         """Return the motion after a unit force step or a unit impulse, exact at and between the samples.
 
-        At time 0 the command step, after the delay, or the impact arrives at the device. In `to_state_space` time 0 is
-        when the controller sends the command, which is ``delay_samples`` earlier.
+        Time 0 is when the command step (after the delay) or the impact arrives at the device. In `to_state_space`, time
+        0 is when the controller sends the command, ``delay_samples`` earlier.
 
         Parameters
         ----------
         stiffness, damping : float
-            K and B of a wall. It need not be stable.
+            K and B of a wall. The wall need not be stable.
         samples : int
             Length in sampling periods.
         signal : {"step", "impulse"}
@@ -500,7 +500,7 @@ class Loop(device_loop.Loop):
         """
         alpha, beta = stiffness / self.units.stiffness, damping / self.units.damping
         chi = response(self.normalised_loop, alpha, beta, signal, samples, per_sample)
-        # An impact acts on the mass directly. A command passes the force gain first.
+        # An impact acts on the mass directly, whereas a command is first multiplied by the force gain.
         unit = self.units.stiffness if signal == "step" else self.units.damping * self.force_gain
         time = np.arange(len(chi)) * self.sampling_period_s / per_sample
         import pandas as pd
@@ -512,7 +512,7 @@ class Loop(device_loop.Loop):
         return frame
 
     def margins(self, stiffness: float, damping: float) -> Margins:
-        """Return gain, phase and delay margin and bandwidth of a stable wall.
+        """Return the gain margin, phase margin, delay margin and bandwidth of a stable wall.
 
         Parameters
         ----------
@@ -546,9 +546,9 @@ class Loop(device_loop.Loop):
         Returns
         -------
         scipy.signal.StateSpace
-            System with ``dt``. ``control.ss(s.A, s.B, s.C, s.D, s.dt)`` converts it to python-control. The command
-            passes gain, delay and lag, like the command of the wall. Time 0 is when the controller sends the command,
-            so the motion starts ``delay_samples`` later. In `response` time 0 is when the command arrives. The parts in
+            System with ``dt``. ``control.ss(s.A, s.B, s.C, s.D, s.dt)`` converts it to python-control. Gain, delay and
+            lag act on the command, as on the command of the wall. Time 0 is when the controller sends the command, so
+            the motion starts ``delay_samples`` later. In `response`, time 0 is when the command arrives. The parts in
             ``left_out`` are not included.
         """
         from scipy.signal import StateSpace
@@ -590,7 +590,7 @@ class Loop(device_loop.Loop):
         grid = CostMap(self.normalised_loop, size, criteria)
         blocks = list(grid.blocks())
         costs = {name: np.concatenate([block.costs[name] for block in blocks]) for name in grid.names}
-        if "damping" in costs:  # this name is also the column of the walls' damping
+        if "damping" in costs:  # "damping" is also the name of the column with the damping of the walls
             costs["damping_ratio"] = costs.pop("damping")
         return self._frame(
             {

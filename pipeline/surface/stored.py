@@ -42,7 +42,7 @@ def devices(processed: PathLike = "processed") -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        ``device``, ``title``, ``motion``, ``known`` (whether a device file describes it), ``experiments`` and
+        ``device``, ``title``, ``motion``, ``known`` (True if a device file describes the device), ``experiments`` and
         ``trials`` (counts).
 
     Raises
@@ -72,8 +72,8 @@ def experiments(processed: PathLike = "processed", device: str | None = None) ->
     -------
     pandas.DataFrame
         ``device``, ``experiment``, ``motion``, ``sampling_period_s`` [s], ``added_delay_samples``, ``grip``,
-        ``simulated`` (true if any trial is simulated), ``trials`` (count). If trials differ, the smallest period and
-        delay and the first grip are given.
+        ``simulated`` (true if any trial is simulated), ``trials`` (count). If trials differ, the row has the smallest
+        period, the smallest delay and the first grip.
 
     Raises
     ------
@@ -135,8 +135,8 @@ def samples(processed: PathLike, trial_id: str) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        ``time_s`` [s], ``command`` [N, Nm], ``position`` [m, rad], ``force``, ``velocity`` (NaN if the log lacks it),
-        one row for each sample. ``attrs`` has the trial's conditions, as in `read_log`.
+        ``time_s`` [s], ``command`` [N, Nm], ``position`` [m, rad], ``force``, ``velocity`` (the last two NaN if the log
+        does not contain them), one row for each sample. ``attrs`` has the conditions of the trial, as in `read_log`.
 
     Raises
     ------
@@ -170,7 +170,7 @@ def estimates(
     device : str
     experiment : str, optional
     all_methods : bool
-        Whether the recommended value is followed by the values that other methods give.
+        True if the recommended value is to be followed by the values of the other methods.
 
     Returns
     -------
@@ -220,8 +220,8 @@ def optima(processed: PathLike, device: str, experiment: str | None = None) -> p
     pandas.DataFrame
         ``experiment``, ``criterion``, ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m, Nms/rad], ``cost`` with its 95 %
         interval ``cost_low`` to ``cost_high``, ``trial_id``, ``ties``, ``censored`` (at the edge of the tested range),
-        ``cost_s`` [s], ``reason`` (why there is no best trial; then numbers are NaN). Settling times are in samples,
-        and in seconds in ``cost_s``. Overshoot is a fraction.
+        ``cost_s`` [s], ``reason`` (why there is no best trial, in which case the numbers are NaN). Settling times are
+        in samples, and in seconds in ``cost_s``. Overshoot is a fraction.
 
     Raises
     ------
@@ -233,7 +233,7 @@ def optima(processed: PathLike, device: str, experiment: str | None = None) -> p
 
 
 def costs(processed: PathLike, device: str, experiment: str | None = None) -> pd.DataFrame:
-    """Return verdict and costs of each trial, for one or all experiments of a device.
+    """Return the verdict and the costs of each trial, for one or all experiments of a device.
 
     Returns
     -------
@@ -293,11 +293,16 @@ def folder_of(processed: PathLike) -> Path:
 def _read(folder: Path, device: str | None, experiment: str | None, columns: list[str] | None) -> Any:
     """Return rows of the trials table. A device or experiment without stored trials raises an error."""
     if device is None and experiment is not None:
-        raise UsageError(f"experiment {experiment!r} is given without its device. Give both.")
+        raise UsageError(f"experiment {experiment!r} is named without its device. Name both.")
     if device is not None and device not in (stored := list_devices(folder)):
-        raise DeviceError(f"{folder}: no trials of device {device!r}; found {', '.join(stored) or 'none'}.")
+        raise DeviceError(
+            f"{folder}: there are no trials of device {device!r}. Devices with trials: {', '.join(stored) or 'none'}."
+        )
     if device is not None and experiment is not None and experiment not in (own := list_experiments(folder, device)):
-        raise DeviceError(f"{folder}: no trials of {device!r}, experiment {experiment!r}; found {', '.join(own)}.")
+        raise DeviceError(
+            f"{folder}: there are no trials of {device!r}, experiment {experiment!r}. Experiments with trials: "
+            f"{', '.join(own)}."
+        )
     return read_trials(folder, device, experiment, columns)
 
 

@@ -15,7 +15,7 @@ OPEN = (
     *("velocity_filter", "adaptive_velocity", "position_filter"),
     *("decimated_rows", "several_steps", "unknown"),
 )
-"""Departures from the wall law that another velocity than the difference quotient may cause."""
+"""Deviations from the wall law that may be caused by a velocity other than the difference quotient."""
 
 NOT_KNOWN = "The velocity filter of the walls is unknown: {}. The boundary is valid for the difference quotient."
 
@@ -29,11 +29,11 @@ class WallFilter:
     velocity : VelocityFilter or None
         The filter on which most logs agree. None for the difference quotient, or if the filter is unknown.
     of_logs : tuple of VelocityFilter
-        Filters of the single logs.
+        Filters of the individual logs.
     sentence : str
-        Description of the filter, or why it is unknown.
+        Description of the filter, or the reason why the filter is unknown.
     left_out : bool
-        Whether the logs show an adaptive velocity filter, which a linear loop cannot include.
+        True if the logs show an adaptive velocity filter, which a linear loop cannot include.
     """
 
     velocity: VelocityFilter | None
@@ -46,9 +46,12 @@ class WallFilter:
         if self.velocity is None or wall_period == period:
             return self
         if isinstance(self.velocity, Butterworth) and self.velocity.cutoff_hz >= 0.5 / wall_period:
-            why = f"that of the logs, {self.velocity.cutoff_hz:g} Hz, is not below half of the sampling rate"
+            why = (
+                f"its cutoff frequency in the logs, {self.velocity.cutoff_hz:g} Hz, is not below half of the sampling "
+                "rate of the walls"
+            )
             return WallFilter(None, (), NOT_KNOWN.format(why), left_out=True)
-        return replace(self, sentence=f"{self.sentence} It is assumed to be the same at T = {wall_period:g} s.")
+        return replace(self, sentence=f"{self.sentence} The filter is assumed to be the same at T = {wall_period:g} s.")
 
 
 def wall_filter(trials: Sequence[MeasuredTrial]) -> WallFilter | None:
@@ -59,7 +62,9 @@ def wall_filter(trials: Sequence[MeasuredTrial]) -> WallFilter | None:
         return WallFilter(None, (), NOT_KNOWN.format("all walls have a damping of 0")) if walls else None
     rows = LawRows.of_logs(damped)
     if rows.misled:
-        return WallFilter(None, (), NOT_KNOWN.format("most logs follow another wall than their headers state"))
+        return WallFilter(
+            None, (), NOT_KNOWN.format("most logs follow a wall that differs from the one in their header")
+        )
     if not rows.compared:
         return WallFilter(None, (), NOT_KNOWN.format("no log has a step after which the command shows the wall law"))
     if (common := course_filter(rows)) is not None:

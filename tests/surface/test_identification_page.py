@@ -59,7 +59,7 @@ def test_parameters_have_value_interval_and_method(found, cells):
 def test_every_part_has_a_decision_and_what_was_tried_its_gain(cells):
     decisions = {name: cells[f"parts/{name}/decision"] for name in ("friction", "stiffness", *PARTS)}
     assert decisions["stiffness"].startswith("rejected")
-    assert decisions["load damping"] == "not tried: it requires a mode"
+    assert decisions["load damping"] == "not tested: it requires a mode"
     for name in ("stiffness", "saturation", "gain by direction", "gain by size", "lag", "mode"):
         gain, required = (cells[f"parts/{name}/{column}"].replace("−", "-") for column in ("gain", "required"))
         assert float(gain) < float(required), name
@@ -94,7 +94,7 @@ def test_a_parameter_that_is_not_identified_has_its_reason(tmp_path):
     assert reasons
     assert "No limit of walls is predicted" in text
     assert "Reasons for missing values" in text
-    assert "not tried: the delay cannot be identified" in text
+    assert "not tested: the delay cannot be identified" in text
 
 
 def test_logs_without_a_device_have_a_page_with_the_reason(tmp_path):

@@ -140,7 +140,7 @@ def test_steps_that_noise_hides_are_asked_for_larger_and_not_for_again(tmp_path)
     ]
     found = pipeline.identify(logs)
     assert "delay" not in found.document["assumed_none"]
-    with pytest.raises(ParameterError, match="For the delay, record larger steps"):
+    with pytest.raises(ParameterError, match="To identify the delay, record larger steps"):
         found.write(tmp_path / "no.toml")
 
 

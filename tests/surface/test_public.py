@@ -122,7 +122,7 @@ def test_what_is_not_there_is_named(tmp_path, falcon):
     assert pipeline.devices(tmp_path).empty
     assert list(pipeline.experiments(tmp_path).columns) == list(pipeline.experiments(falcon.processed).columns)
     stored = falcon.processed
-    with pytest.raises(DeviceError, match="no trials of device 'lwr'; found falcon"):
+    with pytest.raises(DeviceError, match="no trials of device 'lwr'. Devices with trials: falcon"):
         pipeline.trials(stored, "lwr")
     with pytest.raises(DeviceError, match="experiment '9'; found 1"):
         pipeline.trials(stored, "falcon", "9")
