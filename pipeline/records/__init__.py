@@ -1,1 +1,1 @@
-"""Frozen records, arrays of trials, and the dictionary of stored columns, which functions exchange or store."""
+"""Frozen records and arrays of trials that functions exchange or store, and the dictionary of stored columns."""

@@ -1,4 +1,4 @@
-"""Error and run time of every numerical method: the records, and the file of a finished measurement."""
+"""Error and run time of every numerical method: records, and the file of a finished measurement."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from pipeline.base.provenance import PACKAGE_FOLDER, __version__, digest, digest
 from pipeline.records.findings import Record
 
 OURS = "this package"
-"""Name of this package's method among the methods."""
+"""Name of the method of this package among the compared methods."""
 
 WRONG = 1e-6
-"""Smallest relative error of a result that counts as wrong. No plot, table or controller needs more accuracy."""
+"""Smallest relative error of a result that counts as wrong. No plot, table or controller needs a smaller error."""
 
 STORED = "accuracy"
 """Prefix of the name of the file below `processed/` with the last measurement."""
@@ -24,8 +24,8 @@ STORED = "accuracy"
 class Rung(Record):
     """A method at a setting: its largest error, and the shortest time [s] of repeated runs.
 
-    ``error`` is None if the method gave no number (division by zero, no convergence). Rungs of methods for logs also
-    have ``missing``, the share of trials without a value. Rungs of an experiment also have its number of
+    ``error`` is None if the method returned no number (division by zero, no convergence). Rungs of methods for logs
+    also have ``missing``, the share of trials without a value. Rungs of an experiment also have its number of
     ``trials``.
     """
 
@@ -49,7 +49,8 @@ class LeftOut(Record):
 class Sweep(Record):
     """Error of a method along a path towards the limits of double precision.
 
-    ``starts`` is the first x at which the error exceeds `WRONG` or a verdict is wrong. It is None if there is none.
+    ``starts`` is the first x at which the error exceeds `WRONG` or a verdict is wrong. It is None if there is no such
+    x.
     """
 
     sweep: str
@@ -71,7 +72,7 @@ class MeasuredAccuracy(Record):
 class AccuracyReport(Record):
     """Results of `pipeline accuracy`. ``key`` identifies the code and the machine for which they are valid.
 
-    ``rungs``, ``sweeps`` and their evaluation belong to theory, and are empty if theory was not measured.
+    ``rungs``, ``sweeps`` and their evaluation concern the methods for theory, and are empty if these were not measured.
     ``measured_branch`` is None if methods for logs were not measured.
     """
 
@@ -87,7 +88,7 @@ class AccuracyReport(Record):
 
 
 def machine() -> dict[str, str]:
-    """Return processor, operating system and versions, which affect run times."""
+    """Return the processor, the operating system and the versions, which affect run times."""
     found = {
         "processor": _processor(),
         "cores": str(os.cpu_count()),
@@ -136,7 +137,7 @@ def stored(processed: Path) -> AccuracyReport | None:
         return None
     try:
         report = AccuracyReport.model_validate_json(data)
-    except ValueError:  # the file is damaged or of another version, so measure again
+    except ValueError:  # the file is damaged or from a different version, so measure again
         return None
     return report if report.key == key() else None
 

@@ -30,7 +30,8 @@ class Family:
         Factor from a cost to the printed number, for example 100 for a share that is printed in percent.
     levels : tuple of float
         Costs at which contours are drawn. If it is empty, contours are drawn at doublings of the smallest cost. Costs
-        with levels may be zero. They are compared by their difference, other costs by their ratio.
+        with levels may be zero, and are therefore compared by their difference. Other costs are compared by their
+        ratio.
     none : float
         Largest cost that counts as zero.
     floor : str
@@ -40,7 +41,7 @@ class Family:
     needs : tuple of str
         Stages whose results the stage uses.
     figure : str
-        Figure of the thesis that is the model for maps of the costs.
+        Figure of the thesis on which maps of the costs are modelled.
     term, definition : str
         Definition in a report, as HTML.
     """
@@ -71,7 +72,7 @@ class Criterion:
     Parameters
     ----------
     name, label : str
-        Name in commands, files and tables, and printed name.
+        Name in commands, files and tables, and name in print.
     family : Family
     column, meaning : str
         Stored column of the measured cost, and its meaning. They are empty if the criterion does not apply to logs.
@@ -83,11 +84,11 @@ class Criterion:
         Response to which the criterion applies: ``step`` or ``impulse``. It is empty for criteria of the poles, which
         have no sampled response.
     reported : bool
-        Whether a report includes it by default.
+        True if a report includes the criterion by default.
     tabled : bool
-        Whether tables include it for an experiment without published values.
+        True if tables include the criterion for an experiment without published values.
     optimum_only : bool
-        Whether theory provides only its optimum, without costs.
+        True if theory provides only the optimum, without costs.
     """
 
     name: str
@@ -173,7 +174,7 @@ _ALL = (
     *(
         Criterion(
             *(f"energy_step_w{w}", f"energy cost, w = {w} ({name}-like)", ENERGY, f"energy_w{w}"),
-            f"discrete energy cost, w = {w}: sum less its noise, plus the tail",
+            f"discrete energy cost, w = {w}: sum minus the contribution of noise, plus the tail",
             weight=w,
             reported=True,
             tabled=True,
@@ -184,7 +185,7 @@ _ALL = (
         *("rise_time", "rise time, 10 % to 90 %", RISE, "rise_time"),
         "time from first reaching 10 % to first reaching 90 % of x_inf - x_0, linear between samples",
     ),
-    # The optimum of this criterion has no overshoot at all (5.2.2).
+    # For this criterion, the optimum is required to have no overshoot at all (5.2.2).
     Criterion("overshoot_at_all", "overshoot at all", OVERSHOOT, optimum_only=True),
     *(
         Criterion(f"energy_impulse_w{w}", f"energy cost of the impulse, w = {w}", ENERGY, weight=w, signal="impulse")
@@ -210,14 +211,15 @@ _ANY = re.compile(r"settle_(?P<percent>\d+(?:\.\d+)?)pct|energy_(?P<signal>step|
 """Patterns of criteria with a user-defined number: a settling band, or a real exponent w (5.13)."""
 
 SETTLING_BANDS = {c.name: c.band for c in _ALL if c.band is not None}
-"""Half-width of the settling band, relative to the final displacement, by criterion."""
+"""Half-width of the settling band, relative to the final displacement, keyed by criterion."""
 
 
 WIDEST = 50.0
 """Half-width of the widest settling band [%]. With a wider band, the response would begin inside."""
 
 STEEPEST = 8.0
-"""Largest exponent w. With a larger exponent, only the last samples above the noise would count."""
+"""Largest exponent w. Largest exponent w. With a larger exponent, only the last samples above the noise would
+contribute."""
 
 
 def criterion_of(name: str) -> Criterion:
@@ -253,7 +255,8 @@ def _of_any(name: str) -> Criterion:
 
 
 def is_criterion(name: str, names: Iterable[str]) -> bool:
-    """Return whether a name is one of the given criteria, possibly with `DISCRETE`, or with another band or exponent.
+    """Return True if a name is one of the given criteria, possibly with `DISCRETE`, or with a different band or
+    exponent.
 
     >>> is_criterion("settle_0.5pct_discrete", MEASURED), is_criterion("settle_60pct", MEASURED)
     (True, False)
@@ -272,7 +275,7 @@ def is_criterion(name: str, names: Iterable[str]) -> bool:
 
 
 def is_measured(name: str) -> bool:
-    """Return whether a criterion applies to logs: one of `MEASURED`, or the same with another band or exponent.
+    """Return True if a criterion applies to logs: one of `MEASURED`, possibly with a different band or exponent.
 
     >>> is_measured("energy_step_w0.5"), is_measured("settle_2pct_discrete"), is_measured("pole_radius")
     (True, False, False)
@@ -286,7 +289,7 @@ def members(family: Family, names: Iterable[str] = MEASURED) -> list[Criterion]:
 
 
 def with_discrete(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the names of criteria, followed by the names of those that apply to a response, with `DISCRETE`
-    appended."""
+    """Return the names of criteria, followed by the names with `DISCRETE` appended of the criteria that apply to a
+    response."""
     names = tuple(names)
     return (*names, *(f"{name}{DISCRETE}" for name in names if CRITERIA[name].signal))

@@ -1,7 +1,7 @@
 """Records of findings in logs, of limits and of estimates. They are frozen and validated, in SI.
 
-These are all records that the stages for logs need. Therefore, a change of any other record does not make results
-outdated. Units follow the motion of the device, as in `models`.
+The stages for logs need no other records. Therefore, a change of any other record does not make stored results
+outdated. Units depend on the motion of the device, as in `models`.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ NonNegative = Annotated[float, Field(ge=0)]
 
 
 class Record(BaseModel):
-    """Base of all records. It is immutable, and allows neither unknown fields nor NaN or infinity."""
+    """Base of all records. It is immutable, and allows no unknown fields, NaN or infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 ROUNDING = 1e-9
-"""Relative error attributed to rounding. Intervals of logs without noise are as narrow as this."""
+"""Relative error attributed to rounding. Intervals from logs without noise may be as narrow as this."""
 
 
 def holds(low: float, value: float, high: float) -> bool:
-    """Return whether an interval contains a value, up to `ROUNDING`."""
+    """Return True if an interval contains a value, within `ROUNDING`."""
     return low - ROUNDING * abs(low) <= value <= high + ROUNDING * abs(high)
 
 
 NARROW = 1.25
-"""Smallest gain margin of a wall to use (stability limit divided by stiffness).
+"""Smallest gain margin (stability limit divided by stiffness) of a wall that can be recommended.
 
 An error of 25 % in mass or delay changes the limit by this factor.
 """
@@ -45,8 +45,8 @@ An error of 25 % in mass or delay changes the limit by this factor.
 MATTERS = 0.02
 """Smallest relative change of a result that is reported.
 
-Campaigns bracket limits no closer than this, and headers with rounded K and B deviate less. It is also the share of
-logs above which a finding is not due to single trials.
+Campaigns do not bracket limits more closely than this, and rounded K and B in headers deviate less. This is also the
+share of logs above which a finding is not attributed to single trials.
 """
 
 DRIFTS = "drifts by"
@@ -61,7 +61,7 @@ DoubtCode = Literal["drift", "not_adequate", "other"]
 _DOUBTS: dict[str, DoubtCode] = {DRIFTS: "drift", NOT_ADEQUATE: "not_adequate"}
 
 MissingCode = Literal["left_out", "not_identifiable", "other"]
-"""Kind of reason for a missing value: not requested, not identifiable from these logs, or another one."""
+"""Kind of reason for a missing value: not requested, not identifiable from these logs, or a different reason."""
 
 _MISSING: dict[str, MissingCode] = {"left out": "left_out", "not identifiable": "not_identifiable"}
 
@@ -114,8 +114,8 @@ class Trend(Record):
 class Quantity(Record):
     """Number with its 95 % interval, unit and method. Without a value, it has the reason.
 
-    An end is None if it is unbounded. ``unit`` is empty for a dimensionless number. ``method`` is empty if it is that
-    of the enclosing record.
+    An end is None if it is unbounded. ``unit`` is empty for a dimensionless number. ``method`` is empty if it is the
+    method of the enclosing record.
     """
 
     value: float | None
@@ -175,7 +175,8 @@ class Estimate(Quantity):
 
 
 class ModelCheck(Record):
-    """Fit of the maximum-likelihood device to the logs of an experiment. It explains ``explained`` of ``trials``.
+    """Fit of the maximum-likelihood device to the logs of an experiment. The device explains ``explained`` of
+    ``trials``.
 
     ``fit_percent`` is the median fit of its free runs to logs that were not used for the fit.
     """
@@ -188,9 +189,9 @@ class ModelCheck(Record):
 class Limit(Record):
     """Largest stiffness [N/m, Nm/rad] at which a loop is stable for a damping, with its 95 % interval.
 
-    If the tested range ended below the limit, the limit is ``censored``, and all three values are a lower bound. With
-    friction, the limit is valid for the step that was used. ``stiffness_large_motion`` is the linear limit, above which
-    a larger step is unstable.
+    If the tested range ended below the limit, the limit is ``censored``, and all three values are lower bounds. With
+    friction, the limit is valid for the step that was used. ``stiffness_large_motion`` is the linear limit. Above it, a
+    larger step is unstable.
     """
 
     damping: float
@@ -204,11 +205,11 @@ class Limit(Record):
 class BoundaryPoint(Record):
     """Stability limit at a damping: largest stable stiffness below the smallest unstable stiffness.
 
-    ``trials`` is the number of trials with K > 0 at this damping. ``undecided`` is the number of undecided trials among
-    them below the largest stable stiffness, which should be inspected but are not evidence against this stiffness.
-    Other undecided trials are not counted, and none are counted if ``stable`` is null. If friction was found, all
-    values are valid for the step that was used. ``stiffness_large_motion`` is the linear limit of the identified
-    device, above which a larger step is unstable.
+    ``trials`` is the number of trials with K > 0 at this damping. ``undecided`` is the number of these trials that are
+    undecided and below the largest stable stiffness. They should be inspected, but are not evidence against this
+    stiffness. Other undecided trials are not counted, and none are counted if ``stable`` is null. If friction was
+    found, all values are valid for the step that was used. ``stiffness_large_motion`` is the linear limit of the
+    identified device. Above it, a larger step is unstable.
 
     ``estimate`` is the limit from the growth rates with its 95 % interval. A censored point has only ``low``. A point
     without a stable trial has an upper end ``high``, a ``low`` of 0, and no estimate. ``truth`` is the limit of a
@@ -229,7 +230,8 @@ class BoundaryPoint(Record):
 
     @property
     def limit(self) -> Limit | None:
-        """Limit from the growth rates, else the middle between stable and unstable trials. None if there is neither."""
+        """Limit from the growth rates, otherwise the middle between stable and unstable trials. None if neither is
+        available."""
         stable, unstable, ends = self.stable, self.unstable, (self.estimate, self.low, self.high)
         if self.censored:
             ends = (stable, stable, stable)
@@ -242,7 +244,8 @@ class BoundaryPoint(Record):
 
 
 class DampingRange(Record):
-    """Dampings around a wall at which its stiffness is stable, by the lower ends of the measured limits.
+    """Dampings around the damping of a wall at which its stiffness is stable, according to the lower ends of the
+    measured limits.
 
     ``low`` and ``high`` are the ends of the range [Ns/m, Nms/rad]. An end is the limit if ``low_is_limit`` or
     ``high_is_limit`` is true. Otherwise the tested range ends there, or the next limit is unknown. ``margin`` is the
@@ -258,7 +261,8 @@ class DampingRange(Record):
 
 
 class NearOptimum(Record):
-    """Box around the ``trials`` that are nearly as good as the best: at most 5 % more cost or 5 % less stiffness."""
+    """Box around the ``trials`` that are nearly as good as the best: their cost is at most 5 % larger, or their
+    stiffness at most 5 % smaller."""
 
     stiffness_low: float
     stiffness_high: float
@@ -270,9 +274,9 @@ class NearOptimum(Record):
 class Optimum(Record):
     """Trial (or theoretical point) with the smallest cost. It is censored if it lies at the edge of the tested range.
 
-    ``trials`` is the number of trials whose cost is known. ``passive`` states whether the wall is passive over the
-    whole range of an adequate loop, and is None if that is unknown. ``near`` is the box of walls that are nearly as
-    good; it has few trials if the optimum is sharp. ``margin`` is the lower end of the measured limit at this damping
+    ``trials`` is the number of trials whose cost is known. ``passive`` is true if the wall is passive over the whole
+    range of an adequate loop, and None if this is unknown. ``near`` is the box of walls that are nearly as good. It
+    contains few trials if the optimum is sharp. ``margin`` is the lower end of the measured limit at this damping
     divided by the stiffness, or None without a limit. ``damping_range`` contains the dampings at which this stiffness
     is stable.
     ``scatter_percent`` is the scatter of single trials in the map of this cost. For the overshoot, ``resolution`` is
@@ -301,10 +305,9 @@ class Optimum(Record):
 
     @property
     def at_border(self) -> bool | None:
-        """Whether the wall is close to the stability limit (6.2.4), or None if that is unknown.
-
-        It is close if the limit may be less than `NARROW` times away, in stiffness or in damping. It is unknown if no
-        limit is known, or if the tested dampings end less than `NARROW` times away.
+        """True if the wall is close to the stability limit (6.2.4), or None if this is unknown. A wall is close if the
+        limit may be less than a factor of `NARROW` away, in stiffness or in damping. This is unknown if no limit is
+        known, or if the tested dampings end less than a factor of `NARROW` away.
         """
         around = self.damping_range
         if self.margin is None or self.margin < NARROW:
@@ -339,17 +342,18 @@ FindingCode = Literal[
 Severity = Literal["note", "repaired", "cut", "unsafe", "unusable"]
 """Effect of a finding on the results.
 
-``note``: results are valid, but intervals may be wider. ``repaired``: results are those of the repaired log. ``cut``:
-rows from the first affected row on are not used. ``unsafe``: the log gives neither a delay nor the limit of a wall.
-``unusable``: the log gives no result.
+``note``: results are valid, but intervals may be wider. ``repaired``: results are computed from the repaired log.
+``cut``: the first affected row and all later rows are not used. ``unsafe``: the log cannot be used for a delay or for
+the limit of a wall.
+``unusable``: the log cannot be used for any result.
 """
 
 
 MOST_UNSAFE = 0.2
-"""Largest share of logs with an unsafe finding at which other logs from the same rig are trusted."""
+"""Largest share of logs with an unsafe finding for which the other logs from the same rig are still trusted."""
 
 OF_ONE_LOG = frozenset({"frozen_position", "wrapped_angle"})
-"""Unsafe findings that do not affect other logs."""
+"""Unsafe findings that concern only their own log, not other logs from the rig."""
 
 FINDINGS = "findings"
 """Key of the findings of a trial in its stored `time_quality`."""
@@ -358,7 +362,8 @@ NO_FINDINGS = f'"{FINDINGS}": []'
 """Entry in the time quality of a trial without recording faults."""
 
 BY_READING = frozenset({"same_samples"})
-"""Findings that are only visible when a log is read, like all repairs. The stored samples do not show them."""
+"""Findings that are visible only when a log is read, like all repairs. The stored samples do not show these
+findings."""
 
 
 class Finding(Record):
@@ -395,17 +400,17 @@ class Finding(Record):
 
     @property
     def is_unsafe(self) -> bool:
-        """Whether the log gives neither a delay nor a limit, although it seems to be usable."""
+        """True if the log cannot be used for a delay or a limit, although it seems to be usable."""
         return self.severity == "unsafe"
 
     @property
     def is_by_reading(self) -> bool:
-        """Whether the stored samples do not show the finding."""
+        """True if the stored samples do not show the finding."""
         return self.severity == "repaired" or self.code in BY_READING
 
     @property
     def leaves_out(self) -> bool:
-        """Whether the log is excluded from fits."""
+        """True if the log is excluded from fits."""
         return self.severity in {"unsafe", "unusable"}
 
 
@@ -417,15 +422,15 @@ def stored_findings(time_quality: str) -> list[Finding]:
     time_quality : str
         Stored column of the trial, as JSON.
     """
-    if NO_FINDINGS in time_quality or FINDINGS not in time_quality:  # true for nearly all trials
+    if NO_FINDINGS in time_quality or FINDINGS not in time_quality:  # fast path for nearly all trials
         return []
     return [Finding.model_validate(each) for each in json.loads(time_quality).get(FINDINGS, ())]
 
 
 def are_unsafe(findings: Sequence[Sequence[Finding]]) -> bool:
-    """Return whether logs together give neither a delay nor a limit, given the findings of each log.
+    """Return True if these logs cannot be used for a delay or a limit, given the findings of each log.
 
-    This is the case if all logs are unsafe, or if more than `MOST_UNSAFE` of them have a fault of their rig.
+    This is the case if all logs are unsafe, or if more than `MOST_UNSAFE` of them have an unsafe fault of the rig.
     """
     unsafe = [any(each.is_unsafe for each in found) for found in findings]
     of_rig = [any(each.is_unsafe and each.code not in OF_ONE_LOG for each in found) for found in findings]
@@ -433,8 +438,8 @@ def are_unsafe(findings: Sequence[Sequence[Finding]]) -> bool:
 
 
 def unsafe_reason(findings: Sequence[Sequence[Finding]]) -> str:
-    """Return why logs together give neither a delay nor a limit, from the first finding, or "" if they may give
-    them."""
+    """Return the reason why these logs cannot be used for a delay or a limit, quoting the first unsafe finding, or ""
+    if they can be used."""
     if not are_unsafe(findings):
         return ""
     unsafe = [each for found in findings if (each := next((one for one in found if one.is_unsafe), None))]

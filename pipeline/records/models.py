@@ -1,8 +1,8 @@
 """Records of devices, experiments, tables and scenes. They are frozen and validated, in SI.
 
-Units follow the motion of the device: N, N/m, Ns/m, kg and m for ``translation``; Nm, Nm/rad, Nms/rad, kg m^2 and rad
-for ``rotation``. ``docs/definitions.md`` lists the symbols. The JSON Schemas in ``schemas/`` are generated from these
-classes.
+Units depend on the motion of the device: N, N/m, Ns/m, kg and m for ``translation``; Nm, Nm/rad, Nms/rad, kg m^2 and
+rad for ``rotation``. ``docs/definitions.md`` lists the symbols. The JSON Schemas in ``schemas/`` are generated from
+these classes.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pipeline.records.findings import Motion as Motion
 from pipeline.records.findings import Name as Name
 
 STATED = "stated"
-"""Validation context of files written by users. In these, a stated delay must not contradict the stated jitter."""
+"""Validation context of files written by users, in which a stated delay must not contradict the stated jitter."""
 
 
 class Limits(Record):
@@ -67,8 +67,8 @@ class Experiment(Record):
             low, high = min(self.jitter_samples), max(self.jitter_samples)
             if info.context == STATED and not low <= self.delay_samples <= high:
                 raise ValueError(
-                    f"delay_samples ({self.delay_samples:g}) lies outside of jitter_samples, {low:g} to {high:g}: "
-                    "state their mean, or omit the jitter"
+                    f"delay_samples ({self.delay_samples:g}) is outside the range of jitter_samples, {low:g} to "
+                    f"{high:g}. State the mean of jitter_samples, or omit them"
                 )
             # The frozen record is still under construction.
             object.__setattr__(self, "delay_samples", sum(self.jitter_samples) / len(self.jitter_samples))
@@ -88,7 +88,7 @@ class PublishedBound(Record):
 
 
 class PublishedMass(Record):
-    """Mass or inertia of a device without an operator [kg, kg m^2] that does not come from logs, by section.
+    """Mass or inertia [kg, kg m^2] of a device without an operator that was not estimated from logs, keyed by section.
 
     Source: Hulin 2017, secs. 6.1.2 and 6.2.2.
     """
@@ -119,7 +119,7 @@ class Device(Record):
     """Haptic device as data: all information that simulation, theory and reports need.
 
     A device file may omit further fields (`device_data.devices.read_device`). ``published_as`` is the device whose
-    printed values appear next to the values of this device in tables. By default, it is the device itself.
+    printed values appear next to the values of this device in tables, by default the device itself.
     """
 
     name: Name
@@ -142,7 +142,7 @@ class Device(Record):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_by_name=True)
 
     def loop_table(self, experiment: Experiment) -> LoopTable:
-        """Return the ``[loop]`` table of an experiment. The device provides entries that the experiment lacks."""
+        """Return the ``[loop]`` table of an experiment, with missing entries taken from the device."""
         return experiment.loop.over(self.loop)
 
     def loop_for(self, experiment: Experiment) -> Loop:
@@ -167,7 +167,7 @@ class Device(Record):
         )
 
     def simulation_of(self, experiment: Experiment) -> SimulationParts:
-        """Return the simulation settings of an experiment. The device provides settings that the experiment lacks."""
+        """Return the simulation settings of an experiment, with missing settings taken from the device."""
         return experiment.simulation.over(self.simulation)
 
     @model_validator(mode="after")
@@ -202,10 +202,10 @@ class Device(Record):
 class Deviation(Record):
     """Factors of the deviation of a measured optimal cost, minus 1, in percent. Their product is the total deviation.
 
-    ``range`` and ``grid`` are the effects of the tested range and grid on theory. ``model`` is the deviation of the
-    smoothed measured cost, without the noise of single trials, from theory, with its 95 % interval. ``selection`` is
-    the deviation of the best single trial from the smoothed cost. The model component is ``steady`` if it does not
-    depend on any single trial.
+    ``range`` and ``grid`` are the effects of the tested range and grid on theory. ``model`` is the deviation from
+    theory of the smoothed measured cost, which is free of the noise of single trials, with its 95 % interval.
+    ``selection`` is the deviation of the best single trial from the smoothed cost. The model component is ``steady`` if
+    it does not depend on any single trial.
     """
 
     range: float
@@ -220,7 +220,7 @@ class Deviation(Record):
 class ComparisonRow(Record):
     """A row of Tables D.1 to D.6: a computed or measured value with the published value.
 
-    ``experiment`` and ``trial_id`` name the trial of a measured row. In rows of theory they are null, and so are the
+    ``experiment`` and ``trial_id`` name the trial of a measured row. In rows of theory, both are null, and so are the
     deviations of cost, stiffness and damping from discrete theory. ``published_deviation_percent`` is the deviation of
     a printed measurement from the printed theory. ``theory_mass``, ``theory_damping`` and ``theory_source`` state the
     device of a row of theory. ``margin`` is the stability limit at the damping of the wall, divided by its stiffness:
@@ -261,22 +261,22 @@ class ComparisonRow(Record):
 FigureKind = Literal["response", "boundaries", "plane", "maps", "residuals", "delay", "trend", "trials"]
 """Figures of a report.
 
-They are the first response (Fig. 6.2), boundaries (6.3, 6.4, 6.9), boundaries in the normalised plane, cost maps (6.5
-to 6.7, 6.10, 6.11), measured minus theory, costs over delay (6.12), trends, and the trials to inspect.
+The figures are the first response (Fig. 6.2), boundaries (6.3, 6.4, 6.9), boundaries in the normalised plane, cost maps
+(6.5 to 6.7, 6.10, 6.11), measured minus theory, costs over delay (6.12), trends, and the trials to inspect.
 """
 
 Overlay = Literal["theory", "estimates", "band", "linear", "passive", "friction", "robust"]
 """Curves drawn over measured boundaries.
 
-They are theory, the limit of the identified loop and its 95 % interval, the linear condition (3.25), the passive region
-(4.12), with friction the limit for a larger step, and the walls that are stable with any spring (4.3.3), which are
-drawn only on request.
+The overlays are theory, the limit of the identified loop with its 95 % interval, the linear condition (3.25), the
+passive region (4.12), the limit for a larger step (for a device with friction), and, only on request, the walls that
+are stable with any spring (4.3.3).
 """
 
 
 MOMENTUM_WINDOW_S = 0.015
-"""Length of the window of the momentum balance, from the command edge on (6.1.2). Later, the velocity saturates real
-drives."""
+"""Length of the window of the momentum balance, from the command edge on (6.1.2). With a longer window, the velocity
+would saturate real drives."""
 
 
 class Measuring(Record):
@@ -287,7 +287,8 @@ class Measuring(Record):
     final : {"expected", "measured"}
         Final position to which costs refer: x_0 + F_0/K (6.1), or the mean of the last tenth of the log.
     momentum_delay : int, optional
-        Delay [samples] for the momentum balance (6.1.2: 5). By default, it is that of the first change.
+        Delay [samples] for the momentum balance (6.1.2: 5). By default, the delay from the first change of the
+        position.
     momentum_window_s : float
         Length of the window of the momentum balance, from the command edge on [s].
     """
@@ -301,8 +302,8 @@ class Shown(Record):
     """Content of a report, and conventions of its measurements. None includes everything with available data.
 
     ``tables`` are names of published tables (``D.1``) or of other tables of the report (``boundary``). ``delays`` are
-    the delays [samples] of the theoretical curves that are drawn with boundaries without operator. By default, they are
-    those of the device file.
+    the delays [samples] of the theoretical curves that are drawn with boundaries without operator, by default those of
+    the device file.
     """
 
     figures: tuple[FigureKind, ...] | None = None
@@ -320,7 +321,7 @@ class Shown(Record):
         return self.tables is None or name in self.tables
 
     def has_overlay(self, kind: Overlay) -> bool:
-        """Return whether an overlay is requested. By default, all are requested except the robust region."""
+        """Return True if an overlay is requested. By default, all overlays except the robust region are requested."""
         return kind != "robust" if self.overlays is None else kind in self.overlays
 
 
@@ -342,7 +343,7 @@ if TYPE_CHECKING:
     CriterionWord = str
 else:
     Band = Literal[tuple(_BANDS)]
-    """Settling band [%] for which a cost exists."""
+    """Settling bands [%] for which a cost exists."""
 
     CriterionWord = Literal[("settle", *MEASURED)]
     """A criterion in a scene file. ``settle`` means the settling times for its ``bands``."""

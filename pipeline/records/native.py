@@ -37,16 +37,16 @@ _REQUIRED = {
     "sampling_period_s": "the sampling period T in s",
 }
 OF_WALL = ("stiffness", "damping", "step")
-"""Conditions of a trial at a wall. A log of motion without wall and step omits all of them.
-
-They are then 0, and such a trial has no response to judge. The command shows the cause of the motion.
+"""Conditions of a trial at a wall. A log without a wall and a step omits all of these conditions. They are then 0, and
+the trial has no response to judge. The cause of the motion follows from the command.
 """
 
 NOT_STATED = "not stated"
 """Value of ``wall`` in the extra keys of a header that omits all of `OF_WALL`."""
 
 _OPTIONAL = ("added_delay_samples", "grip", "motion")
-# Each pattern matches a run of blanks in only one way. Other patterns take minutes for a line of 10^4 blanks.
+# These patterns match a run of blanks in only one way. Patterns that match it in several ways would take minutes for a
+# line of 10^4 blanks.
 _KEY_LINE = re.compile(r"#\s*([A-Za-z_][\w\s.\-/]*):\s*(.*)")
 _NOTE_BEHIND_TEXT = re.compile(r"(?:^|\s)\[.*$")
 _OPTIONAL_NOTE = re.compile(r"(?<!\s)\s{2,}optional\b.*$")
@@ -64,16 +64,17 @@ class NativeHeader:
     damping : float
         Virtual damping B [Ns/m, Nms/rad].
     step : float
-        External force step F_0 [N, Nm]. If it is 0, no step was commanded, and the trial has no response to judge.
+        External force step F_0 [N, Nm]. A step of 0 means that none was commanded, and the trial has no response to
+        judge.
     sampling_period_s : float
         Sampling period T [s].
     added_delay_samples : int
         Delay that was added on purpose [samples].
     grip : {"none", "comfortable", "firm"}
     motion : Motion or None
-        Type of motion. It is None if the log does not state it; a known device states its motion.
+        Type of motion. None if the log does not state the motion, which is then taken from the device file.
     simulated : bool
-        Whether the log contains ``# origin: simulated``.
+        True if the log contains ``# origin: simulated``.
     extra : dict of str to str
         Other keys of the header, as written. ``step_row`` declares the row of the step, counted from 0.
     """
@@ -98,8 +99,8 @@ def format_header(header: NativeHeader, motion: Motion | None = None) -> str:
     ----------
     header : NativeHeader
     motion : Motion, optional
-        Motion of the device, which determines the units in remarks and is written. If it is None, the header's motion
-        is used, or translation if that is also None.
+        Motion of the device, which determines the units in remarks and is written. By default, the motion of the header
+        is used, or translation if the header has none.
 
     Raises
     ------
@@ -174,7 +175,7 @@ def parse_header(lines: Iterable[str]) -> NativeHeader:
 
 
 def _statements(lines: Iterable[str]) -> tuple[dict[str, tuple[str, int]], dict[str, str]]:
-    """Return the values of known keys with their line numbers, and the values of all other keys."""
+    """Return the values of known keys, with their line numbers, and the values of all other keys."""
     values: dict[str, tuple[str, int]] = {}
     extra: dict[str, str] = {}
     for row, line in enumerate(lines, start=1):
@@ -187,21 +188,21 @@ def _statements(lines: Iterable[str]) -> tuple[dict[str, tuple[str, int]], dict[
         key, value = match[1].rstrip(), match[2]
         if key in _REQUIRED or key in _OPTIONAL:
             if key in values:
-                first = f"first in line {values[key][1]}; expected it once. Remove the wrong line."
+                first = f"first in line {values[key][1]}; expected only once. Remove the wrong line."
                 raise _wrong(f"header gives {key!r} twice, {first}", row)
             values[key] = (value, row)
         else:
             value = _NOTE_BEHIND_TEXT.sub("", value).strip()
-            # Repeated remarks are common in logs. All of them are kept.
+            # Repeated remarks are common in logs, and all of them are kept.
             extra[key] = f"{extra[key]}; {value}" if key in extra else value
     return values, extra
 
 
 def _incomplete(missing: list[str], values: dict[str, tuple[str, int]], extra: dict[str, str]) -> LogError:
-    """Return the error for a header that lacks keys."""
+    """Return the error for a header with missing keys."""
     found = ", ".join([*values, *extra]) or "no `# key: value` line"
     if not values:
-        remedy = "Add a line `# key: <value>` for each, or describe the file by a profile."
+        remedy = "Add a line `# key: <value>` for each of these keys, or describe the file by a profile."
         return LogError(f"header has none of {', '.join(_REQUIRED)}; found {found}. {remedy}", 1, code="header-missing")
     remedy = " ".join(f"Add a line `# {key}: <value>` with {_REQUIRED[key]}." for key in missing)
     lacking = " and no ".join(map(repr, missing))
@@ -212,7 +213,7 @@ def _wrong(reason: str, row: int) -> LogError:
     return LogError(reason, row, code="condition-wrong")
 
 
-@lru_cache(1024)  # logs of an experiment have most of these lines in common
+@lru_cache(1024)  # most of these lines are the same in all logs of an experiment
 def _name(key: str, value: str, row: int) -> str:
     name = _NOTE_BEHIND_TEXT.sub("", value).strip()
     if not name or len(name) > LONGEST_NAME or not name.isprintable():
@@ -229,22 +230,24 @@ def _number(key: str, value: str, row: int) -> float:
     known = find_unit(unit)
     if known is not None and known.factor != 1.0:
         remedy = f"Multiply the value by {known.factor:.9g} and correct the note, or describe the file by a profile."
-        raise _wrong(f"{key} is given in {unit}; native logs are SI (N, m, rad, s). {remedy}", row)
+        raise _wrong(f"{key} is stated in {unit}, but values in native logs are in SI (N, m, rad, s). {remedy}", row)
     try:
-        # float() would accept 1_000 and digits of every script, unlike other readers.
+        # Unlike other readers, float() would also accept 1_000 and digits of every script.
         number = float(text.replace("_", "?")) if text.isascii() else math.nan
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        remedy = f"Write `# {key}: <number>`; write a remark in square brackets after the number."
-        raise _wrong(f"{key} must be a finite number with a decimal point, found {text!r}. {remedy}", row)
+        remedy = f"Write `# {key}: <number>`. A remark must be in square brackets after the number."
+        raise _wrong(f"{key} must be a finite number with a decimal point, but the header has {text!r}. {remedy}", row)
     return number
 
 
 def _period(value: str, row: int) -> float:
     period = _number("sampling_period_s", value, row)
     if period <= 0:
-        raise _wrong(f"sampling_period_s must be above 0 s, found {period:g}. Write the period, such as 0.001.", row)
+        raise _wrong(
+            f"sampling_period_s must be above 0 s, but the header has {period:g}. Write the period, such as 0.001.", row
+        )
     return period
 
 

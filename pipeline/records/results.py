@@ -1,6 +1,7 @@
 """Results of a comparison: the document that `compare --json` prints, which is also the input of a report.
 
-The last records are differences between two experiments, devices or code versions, as second minus first.
+The last records in this module are differences between two experiments, devices or code versions, as second minus
+first.
 """
 
 from __future__ import annotations
@@ -64,7 +65,8 @@ class RegionScore(Record):
 
     ``overlap`` is intersection over union, ``covered`` the share of the theoretical region that is measured as stable,
     ``area_ratio`` measured over theoretical area. ``low`` and ``high`` are bounds that follow from the intervals of the
-    measured limits. At ``censored`` of the ``dampings``, the window ends at the stiffest stable trial.
+    measured limits. At ``censored`` of the ``dampings``, the tested range ends below the limit, and the window ends at
+    the stiffest stable trial.
     """
 
     overlap: float
@@ -96,13 +98,13 @@ class DistanceScore(Record):
 
     ``median`` and ``largest`` are (K_measured - K_theory)/K_theory [1] over ``dampings``. ``rms`` [N/m, Nm/rad] also
     includes the ``near_zero`` dampings, at which the theoretical limit is too small as a denominator. ``lower_bounds``
-    is the number of censored dampings at which theory lies below the end of the tested range. The distance is at least
-    that large there. ``open`` is the number of censored dampings at which theory lies above this end. They are left
-    out, because the distance is unknown. ``bounded`` is the number of dampings whose limit has bounds on both sides, or
-    a lower bound above theory. At ``agreeing`` of these, theory lies in the interval of the limit or within 2 % of it.
-    At ``above`` of these, the limit lies above theory. ``largest`` is taken over the bounded dampings if there are any.
-    The median is ``steady`` if it does not depend on any single limit. ``apart`` contains the dampings at which most
-    bounded limits disagree with theory, as in `Prediction`.
+    is the number of censored dampings at which theory is below the end of the tested range. The distance at these
+    dampings is a lower bound. ``open`` is the number of censored dampings at which theory is above this end. These
+    dampings are left out, because the distance is unknown. ``bounded`` is the number of dampings whose limit has bounds
+    on both sides, or a lower bound above theory. At ``agreeing`` of these, theory lies in the interval of the limit or
+    within 2 % of it. At ``above`` of these, the limit lies above theory. ``largest`` is taken over the bounded dampings
+    if there are any. The median is ``steady`` if it does not depend on any single limit. ``apart`` contains the
+    dampings at which most bounded limits disagree with theory, as in `Prediction`.
     """
 
     median: float
@@ -121,10 +123,10 @@ class DistanceScore(Record):
 
 
 class VerdictScore(Record):
-    """Numbers of trials by their verdict and theory's verdict at the same (K, B).
+    """Numbers of trials by their measured verdict and by the theoretical verdict at the same (K, B).
 
     ``agreement`` is the share of trials with equal verdicts. It does not include ``undecided`` trials and trials
-    ``without_wall`` (K <= 0), for which stable has another meaning.
+    ``without_wall`` (K <= 0), for which "stable" has a different meaning.
     """
 
     both_stable: int
@@ -139,8 +141,8 @@ class VerdictScore(Record):
 class StiffnessScore(Record):
     """Largest stable stiffness [N/m, Nm/rad], measured and theoretical, both over the tested dampings.
 
-    ``anywhere`` is the theoretical value over all dampings. ``lower_bound`` is true if it is the largest tested
-    stiffness.
+    ``anywhere`` is the theoretical value over all dampings. ``lower_bound`` is true if the measured value is the
+    largest tested stiffness.
     """
 
     measured: float
@@ -166,13 +168,15 @@ class DampingScore(Record):
 
 
 ScoreBasis = Literal["device file", "estimates", "measured damping"]
-"""Source of the parameters of a theory: the device file, the logs, or the file with only the damping of the logs."""
+"""Source of the parameters of a theory: the device file, the logs, or the device file with the damping from the
+logs."""
 
 
 class Scores(Record):
     """Scores of theory for an experiment. A missing score is None, and ``missing`` has the reason.
 
-    The ``basis`` "measured damping" occurs as a second entry, if the damping of the logs differs from the device file.
+    The ``basis`` "measured damping" occurs as a second entry if the damping from the logs differs from that of the
+    device file.
     """
 
     parameters: SourcedLoop
@@ -218,14 +222,14 @@ CauseCode = Literal[
 
 
 LIMITS_WITHIN = 5.0
-"""Largest error of predicted limits [%] of an adequate loop. Campaigns bracket limits to within 4 %."""
+"""Largest error of the predicted limits of an adequate loop [%]. Campaigns bracket limits to within 4 %."""
 
 VERDICTS_RIGHT = 0.95
 """Smallest share of the verdicts that an adequate device must predict."""
 
 
 class LoopResult(Record):
-    """Loop used by theory and by all conclusions about an experiment, and whether it is adequate.
+    """Loop used for theory and for all conclusions about an experiment, and its adequacy.
 
     ``mass``, ``damping``, ``stiffness`` and ``mode`` are the effective values at the wall, including the operator, per
     unit of command. ``delay_samples`` is not rounded. ``velocity``, ``mode`` and ``operator`` contain parameters by
@@ -260,7 +264,7 @@ class ReplayResiduals(Record):
 
 
 class WallReplay(Record):
-    """Prediction of tested walls that were not used for the fit, by the identified device with friction and scatter.
+    """Prediction by the identified device, with friction and scatter, of tested walls that were not used for the fit.
 
     ``fit_percent`` is the median fit of the position at stable walls. ``verdicts_same`` is the share of equal decided
     verdicts. ``limits_off_percent`` and ``costs_off_percent`` are the median errors of limits and settling times. The
@@ -281,12 +285,13 @@ class WallReplay(Record):
 
     @property
     def limits_open(self) -> bool:
-        """Whether the tested walls bracket the limits too widely to judge the predicted limits."""
+        """True if the tested walls bracket the limits too widely to judge the predicted limits."""
         return (self.limits_known_percent or 0.0) > max(self.limits_off_percent or 0.0, LIMITS_WITHIN)
 
     @property
     def is_right(self) -> bool:
-        """Whether limits are within 5 % of the measured intervals, and 95 % of the verdicts are correct."""
+        """True if the predicted limits are within 5 % of the measured intervals, and 95 % of the verdicts are
+        correct."""
         limits = (self.limits_off_percent or 0.0) <= LIMITS_WITHIN + (self.limits_known_percent or 0.0)
         if self.verdicts_same is None:
             return False
@@ -303,10 +308,9 @@ class PassiveWall(Record):
 
 class ImpliedDelay(Record):
     """Pure delay [samples] implied by a measured boundary: from its slope near the origin (3.25), and from all limits.
-
-    It is the delay of an ideal loop with the mass and damping of the logs. If it exceeds the delay of the logs, a lag
-    or a velocity filter causes the difference. If the delay near the origin is less than that from all limits, the
-    delay jitters, or friction keeps soft walls stable.
+    This is the delay of an ideal loop with the mass and damping estimated from the logs. If it exceeds the delay
+    estimated from the logs, a lag or a velocity filter causes the difference. If the delay near the origin is less than
+    the delay from all limits, the delay jitters, or friction keeps soft walls stable.
     """
 
     origin: Quantity
@@ -317,9 +321,9 @@ class StraightBound(Record):
     """Line K <= stiffness + slope B through the measured limits, starting at the stiffest wall (6.5), in SI.
 
     ``limits`` is the number of limits, from ``damping_first`` to ``damping_last``. A parabola through them has the
-    ``curvature``. The curvature of theory's limits is ``curvature_theory``. It is null if theory has a stable wall at
-    fewer than four of these dampings. Otherwise, both curvatures use only such dampings, the largest of which is
-    ``curvature_last``.
+    ``curvature``. The curvature of the theoretical limits is ``curvature_theory``, or null if theory has a stable wall
+    at fewer than four of these dampings. Otherwise, both curvatures use only dampings with a stable wall in theory, the
+    largest of which is ``curvature_last``.
     """
 
     stiffness: float
@@ -337,14 +341,15 @@ class StraightBound(Record):
 
     @property
     def is_straight(self) -> bool | None:
-        """Whether the interval of the measured curvature includes zero. None if it is unknown."""
+        """True if the interval of the measured curvature includes zero, or None if the curvature is unknown."""
         if self.curvature_low is None or self.curvature_high is None:
             return None
         return self.curvature_low <= 0 <= self.curvature_high
 
     @property
     def excludes_theory(self) -> bool | None:
-        """Whether theory's curvature lies outside the interval of the measured curvature. None if it is unknown."""
+        """True if the theoretical curvature is outside the interval of the measured curvature, or None if one of them
+        is unknown."""
         ends = self.curvature_low, self.curvature_high
         if self.curvature_theory is None or ends[0] is None or ends[1] is None:
             return None
@@ -363,21 +368,20 @@ ChangeCode = Literal[
     "friction",
     "delay_jitter",
 ]
-"""Number or part of a loop that is changed to see its effect."""
+"""Parameter or part of a loop that is changed to determine its effect."""
 
 
 class LoopChange(Record):
-    """Changed number or part of a loop, and the change of a result that it causes, in percent."""
+    """Changed parameter or part of a loop, and the resulting change of a result, in percent."""
 
     code: ChangeCode
     percent: float
 
 
 class RegionCauses(Record):
-    """Changes of the area of theory's stable region by the numbers and parts of the logs, in percent (6.2.3).
-
-    Each of the ``changes`` replaces one number or part of the device file that differs from the logs.
-    ``together_percent`` is the change for the device of the logs, with friction and jitter.
+    """Changes of the area of the theoretical stable region due to parameters and parts estimated from the logs, in
+    percent (6.2.3). Each of the ``changes`` replaces one parameter or part of the device file that differs from the
+    logs. ``together_percent`` is the change for the device identified from the logs, with friction and jitter.
     """
 
     changes: tuple[LoopChange, ...]
@@ -385,7 +389,7 @@ class RegionCauses(Record):
 
 
 class Cause(Record):
-    """Cause of an experiment's deviation from the ideal loop: a code, a sentence, and its evidence."""
+    """Cause of a deviation of an experiment from the ideal loop: a code, a sentence, and the evidence."""
 
     code: CauseCode | FindingCode
     sentence: str
@@ -408,16 +412,16 @@ class RecordingFault(Record):
 
     @property
     def is_unsafe(self) -> bool:
-        """Whether these trials give neither a delay nor a limit."""
+        """True if these trials cannot be used for a delay or a limit."""
         return self.severity == "unsafe"
 
 
 class LoopFindings(Record):
     """Loop, limits, passive wall and causes of an experiment. A missing result is None, with a reason.
 
-    ``loop`` is None if no requested result needs a device. ``optimum`` states for each optimum whether it is passive.
-    ``sensitivities`` are changes of the largest stable stiffness: for one sample less of delay, and without each part
-    of the loop. ``region_causes`` is None without a device file or an adequate loop.
+    ``loop`` is None if no requested result needs a device. ``optimum`` states for each optimum whether its wall is
+    passive. ``sensitivities`` are changes of the largest stable stiffness: for one sample less of delay, and without
+    each part of the loop. ``region_causes`` is None without a device file or an adequate loop.
     """
 
     loop: LoopResult | None = None
@@ -449,7 +453,7 @@ class Truth(Record):
     def values(self) -> dict[str, float | None]:
         """True values by the names of estimates, as effective values at the wall, per unit of command.
 
-        With an actuator lag there is no true delay, because logs show only the sum of both.
+        With an actuator lag, there is no true delay, because logs show only the sum of delay and lag.
         """
         device = self.loop.loop.apparent()
         return {
@@ -473,7 +477,7 @@ class TruthHeld(Record):
 
 
 class CostRange(Record):
-    """Costs of those ``trials`` that have one: median, smallest and largest cost."""
+    """Median, smallest and largest cost of the ``trials`` that have a cost."""
 
     median: float
     low: float
@@ -506,11 +510,11 @@ class UsePoint(Record):
 class UseRegion(Record):
     """Recommended walls: a rectangle of stiffness [N/m, Nm/rad] and damping [Ns/m, Nms/rad] with only stable trials.
 
-    ``costs`` are the costs of its ``trials``, by criterion. The cost of a further trial there lies between ``low`` and
-    ``high`` with probability (n - 1)/(n + 1), for n trials with this cost. ``margin`` is the lower end of the measured
-    limit divided by the largest stiffness of the region, minimised over its dampings. It is a lower bound if ``bound``
-    is true. ``criterion`` is the criterion of the choice, or `STIFFEST` if no cost is available. ``point`` is the
-    recommended wall.
+    ``costs`` are the costs of its ``trials``, keyed by criterion. The cost of a further trial in the region is between
+    ``low`` and ``high`` with probability (n - 1)/(n + 1), for n trials with this cost. ``margin`` is the lower end of
+    the measured limit divided by the largest stiffness of the region, minimised over its dampings. It is a lower bound
+    if ``bound`` is true. ``criterion`` is the criterion of the choice, or `STIFFEST` if no cost is available. ``point``
+    is the recommended wall.
     """
 
     criterion: str
@@ -528,13 +532,14 @@ class UseRegion(Record):
 class AnswerEstimate(Quantity):
     """Quantity of the first screen with its 95 % interval. An end is null if it is unbounded.
 
-    The value is null for friction that was not found. Then ``high`` is the largest value compatible with the logs; if
-    it is also unknown, ``reason`` states why and what to record. ``large_motion`` is the linear limit of a device with
-    friction, above which a larger step is unstable. For the replay, the value is the share of correct verdicts at walls
-    that were not used for the fit, and ``limits_off_percent`` is the median error of its limits. If measured limits are
-    less accurate, ``limits_known_percent`` is the half-width of their intervals. ``damping`` is the damping of the
-    largest limit. ``at_last_damping`` is true if it is the largest tested damping, so that a larger limit may exist
-    beyond it. ``bracketed`` is true if the ends of the interval are a stable and an unstable trial.
+    The value is null for friction that was not found. In this case, ``high`` is the largest value compatible with the
+    logs. If ``high`` is also unknown, ``reason`` states the cause and the recordings that would help. ``large_motion``
+    is the linear limit of a device with friction. Above it, a larger step is unstable. For the replay, the value is the
+    share of correct verdicts at walls that were not used for the fit, and ``limits_off_percent`` is the median error of
+    its limits. If measured limits are less accurate, ``limits_known_percent`` is the half-width of their intervals.
+    ``damping`` is the damping of the largest limit. ``at_last_damping`` is true if this is the largest tested damping,
+    so that a larger limit may exist beyond it. ``bracketed`` is true if the ends of the interval are a stable and an
+    unstable trial.
     """
 
     name: Literal["delay_samples", "mass", "damping", "friction", "stiffness_max", "replay"]
@@ -549,10 +554,11 @@ class AnswerEstimate(Quantity):
 class ReachableCost(Record):
     """Best settling time (2 %) that the delay allows, and the best settling time of the tested walls [samples].
 
-    ``best`` follows from the delay by a rule, and ``optimum`` is the exact optimum of theory for this loop (null if it
-    was not computed). ``delay_samples`` is the total delay from command to force, with an actuator lag. ``per_sample``
-    is the gain from one sample less of delay. ``within`` is the largest relative error of the rule for a device without
-    damping; damping only lowers the settling time. ``reached`` is null if no tested wall has a settling time.
+    ``best`` follows from the delay by a rule. ``optimum`` is the exact theoretical optimum for this loop, or null if it
+    was not computed. ``delay_samples`` is the total delay from command to force, including an actuator lag.
+    ``per_sample`` is the reduction of the settling time for one sample less of delay. ``within`` is the largest
+    relative error of the rule for a device without damping. Damping only reduces the settling time. ``reached`` is null
+    if no tested wall has a settling time.
 
     Source: Hulin 2017, eqs. 5.19 and 5.20, Table 5.1.
     """
@@ -582,8 +588,8 @@ class Prediction(Record):
     [Ns/m, Nms/rad]. Both are null if the tests reach nearly as far as theory.
 
     ``boundary`` and ``optimal_costs`` are judged separately (6.3). The boundary is predicted if at most one limit in
-    twenty lies outside, and partly predicted if the regions nevertheless overlap well. Costs are predicted if their
-    median deviation is at most 10 %, and partly predicted up to 30 %.
+    twenty deviates by more than its interval. Otherwise, it is partly predicted if the regions overlap well. Costs are
+    predicted if their median deviation is at most 10 %, and partly predicted up to 30 %.
     """
 
     code: Literal["yes", "with_friction", "no", "unknown"]
@@ -627,7 +633,7 @@ class TestedWall(Record):
 
 
 class Answer(Record):
-    """First screen: recommended wall, its certainty, whether theory predicts it, reasons for deviations, and the next
+    """First screen: recommended wall, its certainty, its prediction by theory, reasons for deviations, and the next
     step.
 
     ``experiment`` is the experiment described. The wall was chosen from ``wall_trials`` neighbouring good trials, or by
@@ -660,7 +666,7 @@ class Answer(Record):
 class HeaderLine(Record):
     """Header line that the pipeline does not use, such as firmware or grease: number of trials, and values.
 
-    ``values`` contains the most frequent values with their numbers of trials. ``different`` is the number of all
+    ``values`` contains the most frequent values with their numbers of trials. ``different`` is the number of different
     values.
     """
 
@@ -723,10 +729,11 @@ MassSource = Literal["device file", "weighed"]
 
 
 class MassDeviation(Record):
-    """Stated mass or inertia [kg, kg m^2], and the deviations of the masses of the logs from it, in percent.
+    """Stated mass or inertia [kg, kg m^2], and the deviations of the masses estimated from the logs, in percent.
 
-    It is the apparent mass of the device file, or a weighed mass by ``section`` of its publication. ``percent`` is the
-    deviation of the estimate with its 95 % interval, ``momentum_percent`` that of the momentum balance (6.4).
+    The stated mass is the apparent mass of the device file, or a weighed mass from ``section`` of the publication.
+    ``percent`` is the deviation of the estimate, with its 95 % interval. ``momentum_percent`` is the deviation of the
+    momentum balance (6.4).
     """
 
     source: MassSource
@@ -741,15 +748,15 @@ class MassDeviation(Record):
 
     @property
     def differs(self) -> bool:
-        """Whether the interval of the estimate excludes the stated mass."""
+        """True if the interval of the estimate excludes the stated mass."""
         return self.low is not None and self.high is not None and not self.low <= 0 <= self.high
 
 
 class ExperimentNumbers(MeasuredExperiment, LoopFindings):
     """All results for an experiment, except the first screen.
 
-    ``use_reason`` states why no wall is recommended, or how the wall was chosen if the costs of its region did not
-    select it.
+    ``use_reason`` states why no wall is recommended, or how the wall was chosen if it was not selected by the costs of
+    its region.
     """
 
     theory: SourcedLoop | None = None
@@ -780,7 +787,7 @@ def delay_with(factor: Estimate, findings: LoopFindings) -> Estimate:
 
 
 def delay_of_logs(factor: Estimate, *, adequate: bool, judged: bool, doubted: bool) -> Estimate:
-    """Return the fitted delay unless walls contradict the loop or it is doubted, otherwise the integer factor (6.3).
+    """Return the fitted delay, or the integer factor (6.3) if walls contradict the loop or the fitted delay is doubted.
 
     Parameters
     ----------
@@ -789,9 +796,9 @@ def delay_of_logs(factor: Estimate, *, adequate: bool, judged: bool, doubted: bo
     adequate : bool
         Whether the loop is adequate.
     judged : bool
-        Whether the loop was compared with verdicts.
+        True if the loop was compared with verdicts.
     doubted : bool
-        Whether intervals of a loop that is not adequate may be too narrow.
+        True if the intervals of a loop that is not adequate may be too narrow.
     """
     fitted = factor.by_method.get("model")
     if fitted is None or fitted.value is None:
@@ -808,8 +815,8 @@ class ExperimentResult(ExperimentNumbers):
 class LogList(Record):
     """Logs of an experiment.
 
-    ``files`` has the SHA-256 of each log by its path below ``folder``. ``sha256`` is the hash of all these hashes
-    (sorted, one per line). ``samples`` is a hash of their stored samples.
+    ``files`` has the SHA-256 of each log, keyed by its path below ``folder``. ``sha256`` is the hash of all these
+    hashes (sorted, one per line). ``samples`` is a hash of the stored samples of these logs.
     """
 
     experiment: str
@@ -842,7 +849,7 @@ class ComparisonResult(Record):
 
     @property
     def featured(self) -> ExperimentResult | None:
-        """Experiment to which the document's answer applies, and which a report shows unfolded."""
+        """Experiment to which the answer of the document applies. A report shows this experiment unfolded."""
         name = self.answer.experiment if self.answer else None
         return next((each for each in self.experiments if each.experiment == name), None)
 
@@ -855,7 +862,8 @@ Plane = Literal["physical", "normalised"]
 
 
 class Side(Record):
-    """One of two sides of a comparison: device, experiment, version and hash of its code, excluded trials, notes."""
+    """One of the two sides of a comparison: device, experiment, version and hash of the code, excluded trials,
+    notes."""
 
     device: str
     experiment: str
@@ -875,7 +883,7 @@ class ValueDifference(Record):
     """Quantity with its 95 % intervals on both sides.
 
     ``difference`` is second minus first, with its interval. ``significant`` is true if this interval excludes zero. It
-    is None, with a ``reason``, if it is unknown.
+    is None, with a ``reason``, if the difference or its interval is unknown.
     """
 
     part: Literal["estimates", "optima", "scores"]
@@ -903,10 +911,10 @@ class LimitDifference(Record):
 class BoundaryDifference(Record):
     """Two boundaries, compared over their common range of damping.
 
-    ``interpolated`` states whether the second experiment has other dampings.
+    ``interpolated`` is true if the second experiment has different dampings.
 
     ``median_percent`` and ``largest_percent`` are (second - first)/first. ``judged`` is the number of dampings with
-    intervals on both sides. The limits differ significantly at ``significant`` of them.
+    intervals on both sides. The limits differ significantly at ``significant`` of these dampings.
     """
 
     median_percent: float
@@ -935,7 +943,7 @@ class CostDifference(Record):
 
 
 def pair_labels(first: Side, second: Side) -> tuple[str, str]:
-    """Return the names of both sides. They differ even if both sides are the same experiment at two times."""
+    """Return the names of both sides. The names differ even if both sides are the same experiment at two times."""
     a, b = first.label, second.label
     return (a, b) if a != b else (f"{a} before", f"{a} now")
 

@@ -31,7 +31,8 @@ class ResponseRow:
 
 @dataclass(frozen=True)
 class WallLawRow:
-    """Comparison of the command of a trial with the wall law, and the wall that it follows if it is another wall."""
+    """Comparison of the command of a trial with the wall law, and the wall that the command follows if it differs from
+    the stated wall."""
 
     law_residual: float
     law_rounding: float
@@ -72,7 +73,7 @@ class OutcomeRow:
 
 @dataclass(frozen=True)
 class PartsRow:
-    """Parts of the device from some trials, and starting point of its fit to all trials.
+    """Parts of the device, chosen from some of the trials, and starting point of the fit to all trials.
 
     Without parts, only ``reason``.
     """
@@ -133,9 +134,8 @@ class DeviceRow:
 
 @dataclass(frozen=True)
 class ModelRow:
-    """Mass, damping and delay from a single trial.
-
-    They are None, with a reason, if the trial does not identify them.
+    """Mass, damping and delay from a single trial. They are None, with a reason, if they cannot be identified from the
+    trial.
     """
 
     trial_id: str
@@ -208,7 +208,8 @@ class RiseRow:
 
 @dataclass(frozen=True)
 class EnergyRow:
-    """Energies of a trial by weight with their intervals, the contribution of noise, and the part after the log."""
+    """Energies of a trial for each weight, with their intervals, the contribution of noise, and the part after the end
+    of the log."""
 
     energy_w0: float
     energy_w0_low: float
@@ -231,7 +232,7 @@ class EnergyRow:
 
 @dataclass(frozen=True)
 class OtherCostRow:
-    """Cost of a trial with its interval, for a criterion without stored column."""
+    """Cost of a trial with its interval, for a criterion without a stored column."""
 
     cost: float
     cost_low: float
@@ -257,7 +258,7 @@ ROWS: Mapping[str, type[TrialRow | ExperimentRow]] = {
     "energy": EnergyRow,
     "rise": RiseRow,
 }
-"""Record of each stage except the boundary, whose rows are those of `BoundaryPoint`."""
+"""Record of each stage. The rows of the boundary are those of `BoundaryPoint` instead."""
 
 BOUNDARY = ("damping", "stable", "unstable", "censored", "estimate", "low", "high", "trials", "undecided")
 """Columns of the measured boundary. Other fields of a point are known only in a comparison."""

@@ -1,8 +1,8 @@
 """Parquet files of the stored tables, which are checked against the dictionary of columns (`tables`).
 
-Writing adds units and meanings to the metadata of a file. Reading refuses a file that is damaged or has other columns
-or types. The name of a file contains the SHA-256 of its content, which is checked when the complete file is read. If a
-file is read in part, Parquet's checksums of the pages are checked.
+Writing adds units and meanings to the metadata of a file. Reading refuses a file that is damaged or has different
+columns or types. The name of a file contains the SHA-256 of its content. This hash is checked when the complete file is
+read. When only a part is read, the page checksums of Parquet are checked instead.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pipeline.records.tables import COLUMNS, TABLES
 WRITING: dict[str, object] = {"compression": "zstd", "write_page_checksum": True, "write_statistics": False}
 """Options for writing Parquet.
 
-Compression does not detect a flipped byte, which would be read as another number. Checksums detect it.
+Decompression does not detect a flipped byte, which would be read as a different number. Checksums detect it.
 """
 
 
@@ -47,12 +47,12 @@ def read_table(path: Path) -> pa.Table:
     Raises
     ------
     StoreError
-        If the file is damaged, or was written with other columns or types.
+        If the file is damaged, or was written with different columns or types.
     """
     with _named_errors(path):
         data = path.read_bytes()
         if hash_in_name(path.name) not in (None, hashlib.sha256(data).hexdigest()):
-            raise ValueError("its content does not match its name")
+            raise ValueError("its content does not match the hash in its name")
         table = pq.read_table(pa.BufferReader(data))
     _check(path, table.schema)
     return table
@@ -71,7 +71,7 @@ def _named_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except (pa.ArrowException, OSError, ValueError) as error:  # a ValueError may be a UnicodeDecodeError
-        if isinstance(error, FileNotFoundError):  # the file may have been merged, so the reader looks again
+        if isinstance(error, FileNotFoundError):  # the file may have been merged, so the caller searches again
             raise
         raise damaged_file(path, error) from error
 
@@ -88,7 +88,7 @@ def metadata_of(schema: pa.Schema) -> dict[str, str]:
 
 
 def read_metadata(path: Path) -> dict[str, str]:
-    """Return the metadata of a stored file, or {} if there are none that can be read."""
+    """Return the metadata of a stored file, or {} if no metadata can be read."""
     try:
         return metadata_of(pq.read_schema(path))
     except (pa.ArrowException, OSError, UnicodeDecodeError):
@@ -105,6 +105,6 @@ def _check(path: Path, schema: pa.Schema) -> None:
         missing = [c for c in expected if c not in found]
         surplus = [c for c in found if c not in expected]
         raise StoreError(
-            f"{path}: columns differ from table {table!r}; missing {missing}, unexpected {surplus}. "
-            "It was written by another version. Ingest the logs into a new folder (--processed)."
+            f"{path}: columns differ from table {table!r}; missing {missing}, unexpected {surplus}. The file was "
+            "written by a different version. Ingest the logs into a new folder (--processed)."
         )

@@ -62,11 +62,18 @@ _BIASES, _TAILS = (tuple(f"energy_w{w}_{part}" for w in (0, 1, 2)) for part in (
 
 COLUMNS: dict[str, Column] = {
     # identity and conditions of a trial
-    "trial_id": _same(_S, "", "first 16 digits of the SHA-256 of the source log, or of that SHA-256 with the label"),
-    "label": _same(_S, "", "label of the trial, if its source has several", True),
+    "trial_id": _same(
+        _S, "", "first 16 digits of the SHA-256 of the source log, or of this SHA-256 combined with the label"
+    ),
+    "label": _same(_S, "", "label of the trial, if its source has several trials", True),
     "device": _same(_S, "", "device name as in the log"),
     "experiment": _same(_S, "", "experiment name as in the log"),
-    "motion": _same(_S, "", "translation or rotation, with the unit of a drive's command; it determines other units"),
+    "motion": _same(
+        _S,
+        "",
+        "translation or rotation, followed by the unit of the commands if it is that of a drive; it determines the "
+        "other units",
+    ),
     "stiffness": Column(_F, "N/m", "Nm/rad", "virtual stiffness K"),
     "damping": Column(_F, "Ns/m", "Nms/rad", "virtual damping B"),
     "step": Column(_F, "N", "Nm", "size of the external force step F_0"),
@@ -78,22 +85,24 @@ COLUMNS: dict[str, Column] = {
     "extra": _same(_S, "", "metadata of the log without a dedicated column, as JSON"),
     "time_quality": _same(_S, "", "gaps, dropped samples, jitter, and repairs of the rows, as JSON"),
     # origin of the trial
-    "source_path": _same(_S, "", "path of the source log as found"),
+    "source_path": _same(_S, "", "path of the source log at the time of its ingest"),
     "source_sha256": _same(_S, "", "SHA-256 of the source log (of both files, in order, for a pair)"),
     "source_trials": _same(_I, "", "number of trials in the source"),
     "source_size": _same(_I, "byte", "size of the source log"),
     "source_mtime_ns": _same(_I, "ns", "modification time of the source log"),
     "profile": _same(_S, "", "log profile that read the source"),
     "profile_sha256": _same(_S, "", "SHA-256 of the profile"),
-    "claims": _same(_S, "", "hash of all profiles that might have claimed the source"),
+    "claims": _same(_S, "", "hash of all profiles that were considered for the source"),
     "package_version": _same(_S, "", "version that stored the trial"),
     "sample_file": _same(_S, "", "file below processed/ with the trial; added by the reader, not stored"),
-    "sample_row": _same(_I, "", "row of the trial in this file"),
+    "sample_row": _same(_I, "", "row of the trial in sample_file"),
     # corrections
     "exclusion_reason": _same(_S, "", "why the trial is excluded manually; empty if it is used"),
     "excluded_since": _same(_S, "", "time of the exclusion, UTC, ISO 8601"),
     "moved_device": _same(_S, "", "device to which the trial was moved; null for the device of its log", True),
-    "moved_experiment": _same(_S, "", "experiment to which the trial was moved; null for that of its log", True),
+    "moved_experiment": _same(
+        _S, "", "experiment to which the trial was moved; null for the experiment of its log", True
+    ),
     "deleted": _same(_B, "", "true if the trial is deleted manually"),
     "corrected_ns": _same(_I, "ns", "time of the correction; the newest correction of a trial is valid"),
     # samples of a trial, one value for each sample
@@ -109,12 +118,12 @@ COLUMNS: dict[str, Column] = {
     # response stage
     "verdict": _same(_S, "", "stable, unstable or undecided, from the log"),
     "reason": _same(_S, "", "reason why a value is missing or uncertain; empty if there is none", True),
-    "growth_per_s": _same(_F, "1/s", "growth rate of the slowest visible mode; negative if it decays", True),
+    "growth_per_s": _same(_F, "1/s", "growth rate of the slowest visible mode; negative if the mode decays", True),
     "edge_row": _same(_I, "", "row of the command edge k0, counted from 0", True),
     "position_start": Column(_F, "m", "rad", "rest position of the wall, which is the first position"),
     "position_final_expected": Column(_F, "m", "rad", "x_0 + F_0/K (6.1)", True),
     "position_final_measured": Column(_F, "m", "rad", "mean position over the last tenth of the log", True),
-    "sensor_quantum": Column(_F, "m", "rad", "smallest change of the position seen in the log", True),
+    "sensor_quantum": Column(_F, "m", "rad", "smallest change of the position that occurs in the log", True),
     "sensor_noise": Column(_F, "m", "rad", "standard deviation of the white noise of the position", True),
     # wall_law stage
     "law_residual": _same(_F, "1", "largest deviation of the command from the wall law, relative to F_0", True),
@@ -123,11 +132,15 @@ COLUMNS: dict[str, Column] = {
     "law_evidence": _same(_S, "", "sentence with the evidence for law_codes"),
     "law_rows": _same(_I, "", "number of rows with the most frequent of these deviations"),
     "obeyed_stiffness": Column(
-        _F, "N/m", "Nm/rad", "stiffness that the command follows, if it differs from the stated one", True
+        _F,
+        "N/m",
+        "Nm/rad",
+        "stiffness of the wall that the command follows, if this wall differs from the stated wall",
+        True,
     ),
     "obeyed_damping": Column(_F, "Ns/m", "Nms/rad", "damping of the wall that the command follows", True),
     "obeyed_step": Column(_F, "N", "Nm", "step that the command follows", True),
-    "velocity_filter": _same(_S, "", "filter b(z)/a(z) of the velocity that the log shows, as JSON", True),
+    "velocity_filter": _same(_S, "", "filter b(z)/a(z) of the velocity, as identified from the log, as JSON", True),
     # outcome stage
     "outcome": _same(_S, "", "outcome of the trial, see `outcome.OUTCOMES`"),
     "evidence": _same(_S, "", "sentence with the evidence for the outcome"),
@@ -140,7 +153,7 @@ COLUMNS: dict[str, Column] = {
     # model, delay and mass stages
     "first_change_samples": _same(_I, "samples", "integer delay factor by the first position change (6.2, 6.3)", True),
     "model_mass": Column(
-        _F, "kg", "kg m^2", "mass of the trial, by one step of the likelihood from the common value", True
+        _F, "kg", "kg m^2", "mass of the trial, by one Newton step of the likelihood from the common value", True
     ),
     "model_mass_error": Column(_F, "kg", "kg m^2", "standard error of model_mass", True),
     "model_damping": Column(_F, "Ns/m", "Nms/rad", "viscous damping b, estimated like model_mass", True),
@@ -152,13 +165,13 @@ COLUMNS: dict[str, Column] = {
     "mass_momentum_later": Column(_F, "kg", "kg m^2", "mass_momentum over the second half of the longer window", True),
     # cost stages
     **{name: column for criterion in MEASURED for name, column in _cost(criterion_of(criterion)).items()},
-    "overshoot_floor": _same(_F, "1", "overshoot that the sensor and chatter alone can cause"),
+    "overshoot_floor": _same(_F, "1", "overshoot that can be caused by the sensor and chatter alone"),
     **dict.fromkeys(
-        _BIASES, _same(_F, "1", "part of the sum that is due to noise and resolution; it is subtracted", True)
+        _BIASES, _same(_F, "1", "part of the sum that is due to noise and resolution, and is subtracted", True)
     ),
     **dict.fromkeys(_TAILS, _same(_F, "1", "extrapolated part of the cost beyond the horizon", True)),
     "horizon_samples": _same(_I, "samples", "number of summed samples, up to the noise floor or the end", True),
-    # stage of the parts of a device, in units in which its logs are near 1
+    # stage of the parts of a device, in units in which the numbers of its logs are near 1
     "start_names": _same(_LS, "", "names of the parameters that the estimator varies", True),
     "start_values": _same(_L, "", "values of start_names at the start of the fit to all trials", True),
     "noise_force": _same(
@@ -172,12 +185,18 @@ COLUMNS: dict[str, Column] = {
     "unit_position": Column(_F, "m", "rad", "unit of position of the numbers in this table", True),
     "unit_command": Column(_F, "N", "Nm", "unit of the command of the numbers in this table", True),
     "origin": Column(_F, "m", "rad", "rest position of a spring; null if it is the start of each log", True),
-    "lead_rows": _same(_I, "", "number of rows before a segment whose commands may act in it due to the delay", True),
-    "part_names": _same(_LS, "", "parts that some trials show or do not exclude", True),
-    "part_gains": _same(_L, "1", "gain of cross-validated log-likelihood by each part; 0 if undecided", True),
+    "lead_rows": _same(
+        _I, "", "number of rows before a segment whose commands may still act in the segment, due to the delay", True
+    ),
+    "part_names": _same(_LS, "", "parts that some of the trials show or do not exclude", True),
+    "part_gains": _same(_L, "1", "gain of the cross-validated log-likelihood due to each part; 0 if undecided", True),
     "assumed": _same(_LS, "", "parameters that are assumed to be zero", True),
-    "free_run_filter": _same(_L, "", "filter that whitens the errors of free runs; empty if none are used", True),
-    "open_parts": _same(_LS, "", "parts of the drive that logs left out require, but free runs do not confirm", True),
+    "free_run_filter": _same(
+        _L, "", "filter that whitens the errors of free runs; empty if no free runs are used", True
+    ),
+    "open_parts": _same(
+        _LS, "", "parts of the drive that are required by left-out logs but not confirmed by free runs", True
+    ),
     # device stage
     "parameter_names": _same(_LS, "", "names in `PARAMETERS` of the P parameters of the identified loop", True),
     "parameter_values": _same(_L, "SI", "values of parameter_names", True),
@@ -185,11 +204,13 @@ COLUMNS: dict[str, Column] = {
     "parts": _same(_LS, "", "parts of the loop in addition to mass, damper and delay", True),
     "mode_sensor": _same(_S, "", "motor or load: side of the vibration mode with the position sensor", True),
     "unidentifiable": _same(_LS, "", "parameters that are not identifiable", True),
-    "bound_names": _same(_LS, "", "parameters with an upper end or a second end", True),
+    "bound_names": _same(_LS, "", "parameters with an upper bound, or with a second bound of their interval", True),
     "bound_values": _same(_L, "SI", "the ends of bound_names", True),
     "scatter_names": _same(_LS, "", "parameters that differ between trials", True),
     "scatter_values": _same(_L, "SI", "standard deviations of scatter_names between trials", True),
-    "fold_values": _same(_L, "SI", "values from the trials without each fifth (five rows of P numbers), or none", True),
+    "fold_values": _same(
+        _L, "SI", "values estimated without each fifth of the trials (five rows of P numbers), or none", True
+    ),
     "combination_codes": _same(_LS, "", "identifiable combinations of inseparable parameters", True),
     "combination_members": _same(_LS, "", "parameters of each combination, separated by commas", True),
     "combination_values": _same(
@@ -210,7 +231,7 @@ COLUMNS: dict[str, Column] = {
     # boundary stage
     "stable": Column(_F, "N/m", "Nm/rad", "largest stable stiffness below the smallest unstable stiffness", True),
     "unstable": Column(_F, "N/m", "Nm/rad", "smallest unstable stiffness", True),
-    "censored": _same(_B, "", "true if the tested range ended before an unstable trial"),
+    "censored": _same(_B, "", "true if the tested range ended without an unstable trial"),
     "estimate": Column(_F, "N/m", "Nm/rad", "largest stable stiffness, estimated from the growth rates", True),
     "low": Column(_F, "N/m", "Nm/rad", "lower end of the 95 % interval of the limit", True),
     "high": Column(_F, "N/m", "Nm/rad", "upper end of the 95 % interval of the limit", True),
@@ -235,7 +256,7 @@ TABLES: dict[str, tuple[str, ...]] = {
 """Columns of each table. The columns of a stage are the fields of its record."""
 
 SIGNALS = ("time_s", "command", "position", "force", "velocity")
-"""Columns of the samples of a response. A log may lack the last two."""
+"""Columns of the samples of a response. The last two may be missing in a log."""
 
 SAMPLES = (*SIGNALS, "raw_time", "raw_count")
 """Columns of the trials table that contain a list of samples in each row."""

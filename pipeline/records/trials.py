@@ -21,7 +21,7 @@ Integers = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
 
 NO_STEP_ROW = -1
-"""Stored row of the command edge of a trial that does not declare it."""
+"""Stored row number for a trial that does not declare its command edge."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,12 +40,13 @@ class Trial:
     time, command, position : float64, shape (rows,)
         Time stamps [s], total commanded force before any delay [N, Nm], measured position [m, rad].
     force, velocity : float64, shape (rows,), optional
-        Measured force [N, Nm] and logged velocity [m/s, rad/s]. Nothing is computed from a logged velocity, because its
-        filters and lags are unknown.
+        Measured force [N, Nm] and logged velocity [m/s, rad/s]. No result is computed from a logged velocity, because
+        its filters and lags are unknown.
     step_row : int, optional
-        Declared row of the command edge. If it is None, the edge is detected in the log.
+        Declared row of the command edge. By default, the edge is detected in the log.
     integrated : bool
-        Whether positions are integrals of a sensor's velocity, so that they do not lie on the grid of a sensor.
+        True if positions are integrals of the velocity of a sensor, so that they are not on the grid of a position
+        sensor.
     motion : Motion, optional
         Kind of motion, which determines the units. None if it is unknown.
 
@@ -90,7 +91,7 @@ class Trial:
 
     @cached_property
     def digest(self) -> str:
-        """Hash of name, conditions and samples. It depends only on the values, not on how they are stored."""
+        """Hash of the name, the conditions and the samples. It depends only on the values, not on their storage."""
         conditions = [self.stiffness, self.damping, self.step, self.sampling_period_s]
         declared = NO_STEP_ROW if self.step_row is None else self.step_row
         result = sha256(self.trial_id.encode())
@@ -133,11 +134,11 @@ class Trials:
         The rows of trial i are ``offsets[i]`` to ``offsets[i + 1]`` of the flat arrays.
     time, command, position : float64, shape (rows of all trials,)
     force, velocity : float64, shape (rows of all trials,), optional
-        NaN in the rows of trials that lack it, or None if no trial has it.
+        NaN in the rows of trials without such samples, or None if no trial has any.
     step_row : int64, shape (n,), optional
-        Declared row of each trial, -1 if it is not declared, or None if no trial declares it.
+        Declared row of the command edge of each trial, -1 if it is not declared, or None if no trial declares one.
     integrated : bool, shape (n,), optional
-        Whether positions are integrals, or None if this applies to no trial.
+        True for trials whose positions are integrals, or None if there is no such trial.
     motion : Motion, optional
         Kind of motion of all trials. None if it is unknown, or if they differ.
 
@@ -234,7 +235,7 @@ class Trials:
 
 
 def common_motion(motions: Iterable[Motion | None]) -> Motion | None:
-    """Return the motion that all trials have, or None if they differ."""
+    """Return the motion of all trials, or None if their motions differ."""
     found = set(motions)
     return found.pop() if len(found) == 1 else None
 
