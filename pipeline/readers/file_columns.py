@@ -247,7 +247,7 @@ class FileColumns:
         nearest = f" Nearest: {', '.join(near)}." if near else ""
         stem = wanted.removeprefix("/").partition("[")[0]
         if elements := [name for name in known if name.removeprefix("/").startswith(f"{stem}[")]:
-            nearest = f" State one element in columns.*.name: {elements[0]} to {elements[-1]}."
+            nearest = f" Name one element in columns.*.name: {elements[0]} to {elements[-1]}."
         listing = ", ".join(known[:LISTED_NAMES]) + (", ..." if len(known) > LISTED_NAMES else "") or "none"
         text = f"no column {wanted!r}.{nearest} Columns of the file: {listing}.{self._reasons()}"
         raise refusal("column-missing", self.name, text)

@@ -232,7 +232,7 @@ def _whole(part: NDArray[Any], table: Table, place: str) -> Integers:
 def _unwrapped(raw: NDArray[Any], wrap: float, table: Table, place: str) -> tuple[NDArray[Any], int]:
     if (outside := (raw < 0) | (raw >= wrap)).any():
         at = int(np.argmax(outside))
-        expected = f"a number from 0 to {wrap:.17g}, because the counter restarts there"
+        expected = f"0 to {wrap:.17g}, where the counter restarts from 0"
         raise refusal("time-wrong", place, f"the counter is {raw[at]}", expected, row=int(table["row"][at]))
     # A step back by more than half the range is a wrap. A smaller step back is a row out of order.
     again = np.diff(raw, prepend=raw[:1]) < -wrap / 2

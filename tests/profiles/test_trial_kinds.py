@@ -169,6 +169,6 @@ def test_a_command_that_goes_on_to_change_is_free_and_no_staircase(call, tmp_pat
     assert 'kind = "free" # no wall law was found in the command' in draft_profile(tmp_path / "logs" / "a.csv")
     (tmp_path / "lab.toml").write_text(PROFILE.replace("KIND", "staircase"))
     status, out, err = call("ingest", "logs", "--profile", "lab.toml")
-    assert (status, "the command changes 299 times; the log is kept undivided" in out + err) == (0, True)
+    assert (status, "the command changes 299 times, so the log is not split into steps" in out + err) == (0, True)
     (row,) = read_trials(tmp_path / "processed").to_pylist()
     assert (row["stiffness"], row["damping"], row["step"]) == (0, 0, 0)

@@ -217,7 +217,7 @@ def test_sparse_columns_of_several_rates_with_rows_out_of_order(lab):
     row, reason = lab.refused(toml, SPARSE)
     assert row == 4
     assert "command has no value: column 'F' is blank" in reason
-    assert '"hold" to repeat the value before' in reason
+    assert '"hold" to repeat the preceding value' in reason
     held = toml.replace('"N"', '"N", blanks = "hold"').replace('"mm"', '"mm", blanks = "skip"')
     row, reason = lab.refused(held, SPARSE)
     assert row == 3
@@ -315,7 +315,7 @@ def test_one_refused_trial_refuses_its_file(lab):
     assert "run.txt, trial 'c', column 't' (columns.time): time is 0 s in two rows" in reason
     row, reason = lab.refused(LONG_TOML, LONG.replace("c,3,1,8,3", "c,4,1,8,3"))
     assert row == 7
-    assert "column 'K' gives the stiffness and changes from 3 to 4" in reason
+    assert "column 'K' states the stiffness, but changes from 3 to 4" in reason
     row, reason = lab.refused(LONG_TOML, LONG.replace("c,3,1,8,3", ",3,1,8,3"))
     assert row == 7
     assert "trial_column) is blank" in reason
@@ -337,7 +337,7 @@ step_at = "first row"
 """
     text = "t,F,x\n" + "".join(f"{k},{8 if 2 <= k < 5 else 0},{k}\n" for k in range(10))
     report = lab.ingest(HEAD + COLUMNS + CONSTANTS.replace("step = 8\n", "") + steps, {"a.txt": text})
-    assert "does not give the step of this file" in report.quarantined[0].reason
+    assert "does not state the step of this file" in report.quarantined[0].reason
     lab.ingest(HEAD + COLUMNS + CONSTANTS + steps, {"a.txt": text})
     up, down = sorted(lab.trials, key=lambda trial: -trial["step"])
     assert (up["label"], up["step"], up["extra"]["step_row"]) == ("up", 8, "2")

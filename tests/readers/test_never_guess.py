@@ -85,7 +85,7 @@ def test_a_label_that_changes_is_no_condition(text):
     chosen = profile(TEXT | BANNER)
     outcome = read(chosen, text)
     assert isinstance(outcome, LogError)
-    assert "'K', which gives the stiffness, is '100' and here '300'" in outcome.reason
+    assert "'K' states the stiffness twice, with the different values '100' and '300'" in outcome.reason
     assert text.splitlines()[outcome.row - 1] == "K: 300"
     assert read(chosen, text.replace("300", "100")).header.stiffness == 100
     # no condition is taken from it: the last value is kept beside the trial
@@ -193,7 +193,7 @@ def test_packed_json_is_read_and_drafted(pack, tmp_path):
         (
             json.dumps([{"t": "0", "F": 0, "x": 0}, {"t": "1", "F": 8, "x": 1}]),
             {"format": "json"},
-            "time must be a number (column 't', decimal sign '.'), found '0'",
+            "time must be a number (column 't', decimal sign '.'), but the cell is '0'",
         ),
         ("t,F,x\n12:00:00.001,0,0\n", TEXT, "dates and times of day are not read"),
         ("t,F,x\n2024-05-01 12:00:00.001,0,0\n", TEXT, "columns.time.unit is 'ms', but the file states 'ns'"),

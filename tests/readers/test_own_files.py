@@ -153,7 +153,7 @@ def test_any_command_gets_in_as_one_log(tmp_path, command):
     lab = profile(tmp_path / "lab.toml", COMMAND='{ name = "F", unit = "N", sign = 1 }')
     report = ingest([log], tmp_path / "processed", lab)
     assert (report.ingested, report.quarantined) == (1, ())
-    assert any("kept undivided" in str(warning) for warning in report.warnings)
+    assert any("not split into steps" in str(warning) for warning in report.warnings)
     assert len(read_trials(tmp_path / "processed")) == 1
 
 

@@ -98,7 +98,7 @@ def test_a_mapping_names_column_condition_and_unit(lab):
 @pytest.mark.parametrize(
     ("old", "new", "profile", "message"),
     [
-        ("K [N/mm]", "K", "", r"column 'K' has no unit. Write it after the name, \"K \[N/mm\]\""),
+        ("K [N/mm]", "K", "", r"column 'K' has no unit. Write the unit after the name, \"K \[N/mm\]\""),
         ("run_a", "run_b", "", r"row 3 \(run_b\): row 2 also names this log"),
         ("run_", "walk_", "", "no column of the sheet names the logs .such as run_a.txt.. Columns: Nr, Datei"),
         ("1,5", "x", "", r"row 3 \(run_b\): the stiffness is 'x'; expected a number"),

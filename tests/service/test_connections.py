@@ -132,5 +132,5 @@ def test_a_port_that_is_taken_is_said(tmp_path):
         command = [sys.executable, "-m", "pipeline", "serve", "--port", str(other.getsockname()[1]), "--read-only"]
         done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False, timeout=60)
     assert done.returncode == 2
-    assert "Choose another port" in done.stderr
+    assert "Choose a different port" in done.stderr
     assert "stop with Ctrl-C" not in done.stderr

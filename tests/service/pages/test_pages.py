@@ -117,7 +117,7 @@ def test_forms_of_a_browser(tmp_path, logs):
             answer = browser.do(at, "PUT", f"{path}/{kind}", **said)
             assert (answer.status, answer.headers["location"]) == (303, at)
         late = browser.do(at, "PUT", f"{path}/notes", match='"old"', text="late")
-        assert (late.status, b"changed this in the meantime" in late.content) == (412, True)
+        assert (late.status, b"changed this text in the meantime" in late.content) == (412, True)
         assert client.get("experiments/falcon/1/notes").content["text"] == "stiff\nspring"
         assert client.get("experiments/falcon/1/tags").content["tags"] == ["a", "b"]
         compare = ("/do", "/upload")
