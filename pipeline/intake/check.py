@@ -1,7 +1,7 @@
 """Check of every stored file against the hash in its name, and recovery of damaged files.
 
-Results and theory are recomputed when they are needed. The logs of a damaged trial file are read again if they exist;
-otherwise, trials in readable row groups are kept. Lost trials are listed.
+Damaged results and theory are removed, and recomputed when they are needed. The logs of a damaged trial file are read
+again if they exist; otherwise, trials in readable row groups are kept. Lost trials are listed.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from pipeline.store.batch_files import GROUP_TRIALS, ExperimentKey, write_batch
 from pipeline.store.storage import TABLE, missing_inputs, read_rows
 
 DAMAGED_FOLDER = "damaged"
-"""Folder below `processed` for damaged files that cannot be recomputed. Nothing in it is ever removed."""
+"""Folder below `processed` for damaged files that cannot be recomputed. Files in this folder are never removed."""
 
 _UNREADABLE = (pa.ArrowException, OSError, ValueError)
 
@@ -49,7 +49,7 @@ its content is recomputed. "set aside" means that its content is lost.
 
 
 class Damage(Record):
-    """A damaged file, and what happens to its trials.
+    """A damaged file, and the treatment of its trials.
 
     Parameters
     ----------
@@ -58,8 +58,8 @@ class Damage(Record):
     fault : str
     remedy : {"save", "remove", "set aside"}
     trials, read_again, kept : int
-        Number of trials known to be in the file, of those that are (or can be) read again from their logs, and of those
-        recovered from the file.
+        Number of trials known to be in the file, of trials that are (or can be) read again from their logs, and of
+        trials recovered from the file.
     lost : tuple of dict
         ``trial_id`` and ``source_path``, if readable, of the trials that cannot be recovered.
     """
@@ -74,12 +74,13 @@ class Damage(Record):
 
     @property
     def mended(self) -> bool:
-        """Whether the complete content is available again or will be recomputed."""
+        """True if the complete content is available again or will be recomputed."""
         return self.remedy == "remove" or (self.remedy == "save" and not self.lost)
 
 
 class CheckReport(Record):
-    """Result of a check: files and bytes read, damaged files, whether they were repaired, and missing trials."""
+    """Result of a check: numbers of files and bytes read, damaged files, True if they were repaired, and missing
+    trials."""
 
     files: int
     bytes: int
@@ -96,7 +97,7 @@ def check(
 ) -> CheckReport:
     """Check every stored file against its hash. With `repair`, recover what can be recovered.
 
-    A repair that is killed loses no data, and the next repair continues.
+    If a repair is killed, no data are lost, and the next repair continues.
 
     Parameters
     ----------
@@ -120,7 +121,7 @@ def check(
             try:
                 size += file.stat().st_size
                 if file_hash(file) != hash_in_name(file.name):
-                    faults[file] = "its content does not match its name"
+                    faults[file] = "its content does not match the hash in its name"
             except PermissionError as error:
                 faults[file] = str(error.strerror)
         if progress:
@@ -155,7 +156,7 @@ def _of_others(processed: Path, file: Path, faults: dict[Path, str], repair: boo
 
 
 def _set_aside(processed: Path, file: Path) -> None:
-    # Readers find every *.parquet file below the store, so the file needs another extension.
+    # Readers find every *.parquet file below the store, so the file gets a different extension.
     place = processed / DAMAGED_FOLDER / file.relative_to(processed).with_name(f"{file.name}.damaged")
     make_folder(place.parent)
     os.replace(file, place)
@@ -172,7 +173,8 @@ def _groups(file: Path) -> Iterator[pa.Table]:
 
 
 def _rows_of(file: Path) -> list[dict[str, str]]:
-    """Return id, log and profile of each trial of a damaged file. The result is empty if they are unreadable."""
+    """Return the id, log and profile of each trial of a damaged file. The result is empty if these columns are
+    unreadable."""
     columns: dict[str, list[str]] = {name: [] for name in ("trial_id", "source_path", "profile")}
     with suppress(StoreError), open_table(file) as stored:
         for number in range(stored.num_row_groups):
@@ -190,7 +192,7 @@ def _read_again(
     """Ingest the logs of damaged files again, from their paths and with the profiles that read them first."""
     for profile in sorted({row["profile"] for row in rows}):
         logs = {path_of_text(row["source_path"]) for row in rows if row["profile"] == profile}
-        with suppress(ProfileError):  # without the lab's own profile, these logs are not read again
+        with suppress(ProfileError):  # without the profile file of the lab, these logs are not read again
             ingest(sorted(logs), processed, profile or None, say=say, damaged=faults)
 
 
@@ -203,9 +205,9 @@ def _of_trials(
 ) -> Damage:
     """Store readable trials of a damaged file whose logs are missing, set the file aside, and list the lost trials.
 
-    Without `repair`, nothing is changed and the result is only reported.
+    Without `repair`, no file is changed, and the result is only reported.
     """
-    # Reading all logs again writes the same file, which is then complete.
+    # If all logs were read again, the same file was written, and is now complete.
     there = {other: text for other, text in faults.items() if other.exists()}
     damaged = {other: text for other, text in there.items() if file_hash(other) != hash_in_name(other.name)}
     stored = set(read_rows(processed, ["source_path"], damaged).column("source_path"))

@@ -21,14 +21,14 @@ Rule = Literal[
 ]
 """Names of the rules.
 
-"copy": another stored source has the same content. "renamed copy": the conditions in its name differ as well.
+"copy": a different stored source has the same content. "renamed copy": a copy whose name states different conditions.
 "completed": an interrupted run had stored only some of the trials.
 """
 
 
 @dataclass(frozen=True)
 class Twin:
-    """A stored source with another path, the same content, and the same conditions in its name."""
+    """A stored source with a different path, but the same content, and the same conditions in its name."""
 
     path: str
     stored: StoredSource
@@ -55,8 +55,8 @@ class Evidence:
         Stored source with the same path.
     twin : Twin or None
     lost : tuple of (str, StoredSource) or None
-        Path and data of a stored source with the same content and profile whose file no longer exists. It is only set
-        if the profile reads conditions from names, so that a source with a corrected name is not treated as a copy.
+        Path and data of a stored source with the same content and profile whose file no longer exists. Set only if the
+        profile reads conditions from names, so that a source with a corrected name is not treated as a copy.
     """
 
     source: Source
@@ -68,7 +68,7 @@ class Evidence:
 
     @property
     def is_same(self) -> bool:
-        """Whether the same content is stored under the same path."""
+        """True if the same content is stored under the same path."""
         return self.former is not None and self.former.sha256 == self.sha256
 
 
@@ -76,8 +76,8 @@ class Evidence:
 class Drop:
     """Removal of the trials of a source that is stored under ``path``.
 
-    ``outcome`` is reported for the source ``shown``. None means that nothing is reported. ``late`` means that the
-    trials are removed after the new trials are stored.
+    ``outcome`` is reported for the source ``shown``. With None, no outcome is reported. If ``late`` is true, the trials
+    are removed after the new trials are stored.
     """
 
     shown: str
@@ -89,7 +89,7 @@ class Drop:
 
 @dataclass(frozen=True)
 class Decision:
-    """Decision on a source, with the rule, the reason for the report, removals, and a warning."""
+    """Decision on a source: the rule, the reason for the report, removals, and a warning."""
 
     rule: Rule
     reason: str
@@ -98,7 +98,7 @@ class Decision:
 
     @property
     def stores(self) -> bool:
-        """Whether the trials of the source are stored."""
+        """True if the trials of the source are stored."""
         return self.rule in ("new", "renamed", "changed", "profile changed", "completed")
 
 
@@ -107,8 +107,8 @@ def decide_unread(
 ) -> Decision | None:
     """Return the decision on a source by size, time and profile, or None if its content must be read.
 
-    A refused source without a hash could not be read. It is tried again, because new permissions change neither size
-    nor time. With ``replace``, other refused sources are also tried again.
+    A refused source without a hash could not be read. Such a source is tried again, because new permissions change
+    neither size nor time. With ``replace``, other refused sources are also tried again.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def decide_unread(
     refused : QuarantineRecord or None
         Record of the source in quarantine.
     replace : bool
-        Whether trials read with another profile or for another device are replaced.
+        True if trials read with a different profile or for a different device are replaced.
     """
     state = (source.size, source.mtime_ns, source.profile_sha256)
     former = None if refused is None else (refused.size, refused.mtime_ns, refused.profile_sha256)
@@ -136,7 +136,7 @@ def decide(evidence: Evidence, *, replace: bool) -> Decision:
     ----------
     evidence : Evidence
     replace : bool
-        Whether to replace trials with the same content that were read with another profile or for another device.
+        True to replace trials with the same content that were read with a different profile or for a different device.
 
     Raises
     ------
@@ -148,14 +148,14 @@ def decide(evidence: Evidence, *, replace: bool) -> Decision:
         return _repeated(evidence)
     rival = former if evidence.is_same else twin.stored if twin is not None else None
     replaced = _replaced_rival(evidence, rival, replace=replace)
-    if twin is not None and replaced is None and twin.exists:  # read with another version of the profile
+    if twin is not None and replaced is None and twin.exists:  # read with a different version of the profile
         return _repeated(evidence)
     shown, key = evidence.source.shown, evidence.source.key
     drops = () if twin is None else (Drop(shown, twin.path, twin.stored, replaced),)
     if former is None:
         return _new(evidence, drops)
     if not evidence.is_same:
-        outcome = "its trials were replaced by those of the new content"
+        outcome = "its trials were replaced by the trials of the new content"
         late = evidence.source.mtime_ns > former.mtime_ns
         return Decision("changed", "content changed", (*drops, Drop(shown, key, former, outcome, late)))
     if former.profile_sha256 != evidence.source.profile_sha256:
@@ -172,11 +172,11 @@ def _repeated(evidence: Evidence) -> Decision:
     if former is not None:
         outcome = f"it now has the content of {twin.path}; its former trials were removed"
         if evidence.is_same:
-            outcome = f"{twin.path} now has the same content; its trials are stored for that log"
+            outcome = f"{twin.path} now has the same content, and the trials are stored for that log"
         drops = (Drop(source.shown, source.key, former, outcome),)
     reason = f"same content as {twin.path}"
     if source.profile is not None and source.profile.reads_names and twin.name != source.path.name:
-        text = f"has the content of {twin.path} under another name and was skipped. Remove the wrong file."
+        text = f"has the content of {twin.path} under a different name and was skipped. Remove the wrong file."
         return Decision("renamed copy", reason, drops, text)
     return Decision("copy", reason, drops)
 
@@ -184,7 +184,7 @@ def _repeated(evidence: Evidence) -> Decision:
 def _new(evidence: Evidence, drops: tuple[Drop, ...]) -> Decision:
     """Return the decision on a source whose path is not stored.
 
-    It is a new source, or a lost one with a corrected name.
+    The source is new, or is a lost source with a corrected name.
     """
     source = evidence.source
     if evidence.lost is None:
@@ -195,9 +195,8 @@ def _new(evidence: Evidence, drops: tuple[Drop, ...]) -> Decision:
 
 
 def _replaced_rival(evidence: Evidence, rival: StoredSource | None, *, replace: bool) -> str | None:
-    """Return the report's text on replaced trials that have the same content, or None if there are none.
-
-    Such trials were read with another profile or for another device.
+    """Return the report text on stored trials with the content of this source that it replaces, or None if there are
+    none. Such trials were read with a different profile or for a different device.
 
     Raises
     ------
@@ -213,7 +212,7 @@ def _replaced_rival(evidence: Evidence, rival: StoredSource | None, *, replace: 
         raise LogError(
             f"is stored as a log of {before}, but profile {profile!r} now claims it for device "
             f"{', '.join(map(repr, devices))}. The stored trials were not changed. To read the log with the new "
-            "profile, delete them or give --replace. Otherwise, name the right profile.",
+            "profile, delete the stored trials or use --replace. Otherwise, select the right profile with --profile.",
             code="profile-wrong",
         )
     count = len(rival.trials)

@@ -1,9 +1,9 @@
 """Ingest logs into Parquet files.
 
-Logs are found and read in batches. They are then checked, and stored or refused. Known logs are skipped.
+Logs are found and read in batches. Each log is then checked, and stored or refused. Known logs are skipped.
 
 A log is identified by its content. A source whose size and modification time are unchanged is not opened. Only one
-ingest writes at a time. Its results become visible batch by batch, and the next ingest completes an interrupted one.
+ingest writes at a time. The results become visible batch by batch. An interrupted ingest is completed by the next one.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ from pipeline.store.objects import publish, renewed
 from pipeline.store.storage import check_version, read_corrections
 
 Action = Literal["ingest", "skip", "refuse", "wait"]
-"""Action for the report that follows from the rule of a decision (`pipeline.intake.decide`)."""
+"""Action stated in the report for each rule of a decision (`pipeline.intake.decide`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +75,8 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True)
 class LogWarning:
-    """An irregularity that was accepted in a source. A fault of its recording also has a code and a severity."""
+    """An irregularity that was accepted in a source. For a fault of the recording, the warning also has a code and a
+    severity."""
 
     path: str
     warning: str
@@ -85,7 +86,7 @@ class LogWarning:
 
 @dataclass(frozen=True, slots=True)
 class ChangedSource:
-    """A source whose content differs from the stored content, and what happened to the stored trials."""
+    """A source whose content differs from the stored content, and the outcome for the stored trials."""
 
     path: str
     outcome: str
@@ -93,7 +94,7 @@ class ChangedSource:
 
 @dataclass(frozen=True, slots=True)
 class PlannedSource:
-    """Action for a source and its reason. A dry run only plans the action."""
+    """Action for a source, and the reason. In a dry run, the action is only planned."""
 
     path: str
     action: Action
@@ -116,11 +117,11 @@ class IngestReport(Record):
     changed : tuple of ChangedSource
         Sources whose content differs from the stored content.
     waiting : tuple of str
-        Sources that were modified recently and are left for the next ingest. They are not counted in ``found``.
+        Sources that were modified recently and are left for the next ingest. These are not counted in ``found``.
     plan : tuple of PlannedSource or None
         Planned action for each source of a dry run, including waiting sources. None otherwise.
     damaged : tuple of str
-        Damaged stored files with their remedies. The logs in these files count as new; others are not affected.
+        Damaged stored files with their remedies. The logs in these files count as new. Other logs are not affected.
     ignored : tuple of str
         Files in searched folders that are not logs: papers, scripts, settings, pictures, sheets. They are not counted.
     """
@@ -139,7 +140,7 @@ class IngestReport(Record):
 
 
 PENDING_BYTES = 64 << 20
-"""Memory of the logs that are collected before they are stored [byte].
+"""Memory for logs that are collected before they are stored [byte].
 
 A file then has 2,300 logs of 1,000 rows. An interruption loses the work of about a second.
 """
@@ -174,14 +175,14 @@ def ingest(
         Name of a shipped profile, a TOML file, or a loaded profile. By default, a shipped profile is chosen for each
         file.
     jobs : int, optional
-        Number of threads that read and parse logs. By default, it is the number of processors, but at most four.
+        Number of threads that read and parse logs. By default, the number of processors, but at most four.
     dry_run : bool
-        Whether to read and check without writing, and to report for each source what would be done.
+        True to read and check without writing, and to report the planned action for each source.
     rehash : bool
-        Whether to compare the content of a log even if its size and modification time are unchanged.
+        True to compare the content of a log even if its size and modification time are unchanged.
     replace : bool
-        Whether to replace trials whose log is now claimed by another profile or for another device. By default such
-        logs are refused.
+        True to replace trials whose log is now claimed by a different profile or for a different device. By default,
+        such logs are refused.
     progress : callable, optional
         Function that is called with the number of logs done and the number of logs found.
     settle_s : float
@@ -190,7 +191,7 @@ def ingest(
     growing : collection of str
         Absolute paths of files that are known to grow. They are skipped regardless of their time stamps.
     wait_s : float
-        Time to wait for another command that writes to `processed` [s].
+        Longest wait for another command that writes to `processed` [s].
     say : callable, optional
         Function that is called with a message when waiting begins.
     damaged : dict of Path to str, optional
@@ -209,7 +210,7 @@ def ingest(
         stored remain valid.
     """
     if jobs is not None and jobs < 1:
-        raise UsageError(f"jobs must be at least 1, found {jobs}. Omit it for one thread per processor.")
+        raise UsageError(f"jobs must be at least 1, but is {jobs}. Omit this argument for one thread per processor.")
     check_version(processed)
     folders = [Path(path) for path in paths]
     check_places(folders, processed)  # this check precedes all writing
@@ -225,8 +226,7 @@ def ingest(
 
 @dataclass
 class _Run:
-    """State of an ingest, which consists of the stored sources, the decisions so far, and the trials that wait to be
-    stored.
+    """State of an ingest: the stored sources, the decisions so far, and the trials that wait to be stored.
 
     Parameters
     ----------
@@ -260,11 +260,11 @@ class _Run:
         self.missing = set[str]()
         """Paths of the stored sources that were not found or not searched for."""
         self.places = dict[str, str]()
-        """Path of the log of each stored trial, by trial id."""
+        """Path of the log of each stored trial, keyed by trial id."""
         self.renamed = dict[str, str]()
         """Former and new id of each trial whose log was renamed."""
         self.pending, self.pending_bytes, self.dropped, self.outdated = list[Accepted](), 0, set[Key](), set[Key]()
-        """Trials to store; stored trials that they replace; and those replaced trials that have an older content."""
+        """Trials to store, stored trials that they replace, and the replaced trials whose content is older."""
         self.seen = dict[str, str]()
         """Path of the first source with each hash of samples."""
         self.folders = set[Path]()
@@ -274,9 +274,8 @@ class _Run:
 
     @cached_property
     def _motions(self) -> dict[str, Motion]:
-        from pipeline.device_data.devices import (
-            known_devices,
-        )  # this import is slower than an ingest without new logs
+        # This import takes longer than an ingest without new logs.
+        from pipeline.device_data.devices import known_devices
 
         return {name: device.motion for name, device in known_devices().items()}
 
@@ -288,7 +287,7 @@ class _Run:
 
     @cached_property
     def _gone(self) -> dict[tuple[str, str], list[tuple[str, StoredSource]]]:
-        """Stored sources that no longer exist, by content and profile."""
+        """Stored sources that no longer exist, keyed by content and profile."""
         found: dict[tuple[str, str], list[tuple[str, StoredSource]]] = {}
         for path in sorted(self.missing):
             if is_gone(path_of_text(path)) and (one := self.stored.get(path)) is not None:
@@ -325,7 +324,8 @@ class _Run:
         if unsettled:
             # A source that must be checked again is added after this line.
             self.places = self.stored.places({source.key for source in unsettled})
-        # Stored sources are read first, so that a copied and touched log is recognised under its original path.
+        # Stored sources are read first, so that a log that was copied and then touched is recognised under its original
+        # path.
         unsettled.sort(key=lambda source: (source.key not in self.stored.paths, source.key))
         for batch in reads_of(unsettled, self._is_known, jobs):
             refused = [record for done in batch if (record := self._settle(done)) is not None]
@@ -348,7 +348,8 @@ class _Run:
         """Return the report on all sources, and on the stored sources that are missing in the searched folders."""
         roots = tuple(os.path.join(path_text(os.path.abspath(folder)), "") for folder in folders if folder.is_dir())
         missing = [key for key in self.missing if key.startswith(roots)]
-        # Unreadable files are reported elsewhere. A folder at the path of a log does not count as the log.
+        # Unreadable files are reported elsewhere, and count as existing. A folder at the path of a log does not count
+        # as the log.
         removed = [key for key in missing if is_gone(path := path_of_text(key)) or path.is_dir()]
         counts = Counter(one.action for one in self.plan)
         return IngestReport(
@@ -388,7 +389,7 @@ class _Run:
         return True
 
     def _is_known(self, source: Source, sha256: str) -> bool:
-        """Return whether a content is completely stored under any path and was read with the same profile."""
+        """Return True if a content is completely stored under any path and was read with the same profile."""
         former = self.stored.get(source.key)
         if former is not None and former.whole and former.sha256 == sha256:
             return former.profile_sha256 == source.profile_sha256
@@ -400,10 +401,8 @@ class _Run:
         return self.places.get(trial_id(sha256, None, source.named_conditions))
 
     def _settle(self, read: Read) -> Refused | None:
-        """Decide what to do with a source that was read.
-
-        Return the record for the quarantine if the source is refused. The result is None if it is accepted, or if its
-        record is in quarantine already.
+        """Decide on a source that was read. Return the record for the quarantine if the source is refused, or None if
+        it is accepted or its record is already in quarantine.
         """
         source = read.source
         try:
@@ -464,8 +463,7 @@ class _Run:
         return log if other == source.shown else replace(log, noted=(*log.noted, same_samples(len(log.time), other)))
 
     def _evidence(self, source: Source, sha256: str, accepted: Sequence[Accepted] | None) -> Evidence:
-        """Return the input of a decision, which is a source with the stored sources that have the same path or
-        content."""
+        """Return the input of a decision: a source, and the stored sources that have the same path or content."""
         former, path = self.stored.get(source.key), self._find(source, sha256)
         if accepted:
             paths = {self.places.get(one.trial) for one in accepted}
@@ -495,7 +493,7 @@ class _Run:
         texts: dict[str, Finding | None] = dict.fromkeys(text for one in accepted for text in one.log.warnings)
         texts |= {finding.sentence: finding for one in accepted for finding in one.log.findings}
         if not self._deleted.isdisjoint(ids):
-            texts["was deleted by hand and is in the bin. `pipeline delete ... --undo` restores it."] = None
+            texts["was deleted manually and is in the bin. `pipeline delete ... --undo` restores it."] = None
         self.warnings += [
             LogWarning(source.shown, storable(text), *((found.code, found.severity) if found else (None, None)))
             for text, found in texts.items()
@@ -535,7 +533,7 @@ class _Run:
         refusal = Refusal(source.shown, record.reason, record.row, record.code, record.profile_line)
         self.refusals.append(refusal)
         former = self.stored.get(source.key)
-        # Without a hash, no changed content was read. The exception is a file that is now too large to be read.
+        # Without a hash, no changed content was read, unless the file is now too large to be read.
         seen = record.sha256 is not None or record.code == "too-large"
         if former is not None and former.sha256 != record.sha256 and seen:
             outcome = "its new content is refused; the trials of the former content stay stored"

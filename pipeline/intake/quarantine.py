@@ -1,7 +1,7 @@
 """Quarantine of refused sources. There is one record for each source, with the reason and a remedy.
 
-Each record is in a separate folder below ``processed/quarantine``. Another refusal replaces the record, and an accepted
-source loses its record. The source itself is never changed or copied.
+Each record is in a separate folder below ``processed/quarantine``. If a source is refused again, its record is
+replaced. If the source is accepted, the record is removed. The source itself is never changed or copied.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ RECORD = "reason"
 
 
 class QuarantineRecord(Record):
-    """Reason why a source was refused, with properties that reveal a later change of the source.
+    """Reason why a source was refused, with properties by which a later change of the source is detected.
 
     Parameters
     ----------
     path : str
-        Absolute path of the source. For a pair of files, that of the first file.
+        Absolute path of the source. For a pair of files, the path of the first file.
     size, mtime_ns : int
         Total size of its files [byte], and time of the newest modification [ns].
     sha256 : str or None
         Hash of its content. None if it could not be read or was too large to be a log.
     row : int or None
-        Faulty row, counted from 1. It is a line of a text file, otherwise a record, sample or message.
+        Faulty row, counted from 1. A row is a line of a text file, otherwise a record, sample or message.
     reason : str
     profile, profile_sha256 : str or None
         Profile that claimed the source, or None.
     code : str
         Machine-readable reason, one of `errors.CURES`.
     profile_line : str or None
-        Line that the profile may need so that the source becomes readable.
+        Line of the profile with which the source might be readable.
     """
 
     path: str
@@ -56,8 +56,8 @@ class QuarantineRecord(Record):
     profile_line: str | None = None
 
     def is_less_specific(self, other: QuarantineRecord | None) -> bool:
-        """Return whether this profile does not match the file's columns, while that of the other record found a
-        fault."""
+        """Return True if this profile does not match the columns of the file, while the profile of the other record
+        found a fault in the log."""
         if other is None or (self.size, self.mtime_ns) != (other.size, other.mtime_ns):
             return False
         return other.profile != self.profile and self.code in OTHER_COLUMNS and other.code not in OTHER_COLUMNS
@@ -74,7 +74,7 @@ def list_quarantine(processed: Path, damaged: dict[Path, str] | None = None) -> 
     ----------
     processed : Path
     damaged : dict of Path to str, optional
-        Receives the damaged records and their faults. If it is None, a damaged record raises an error.
+        Receives the damaged records and their faults. By default, a damaged record raises an error.
 
     Raises
     ------
@@ -146,8 +146,8 @@ Refused = tuple[Source, QuarantineRecord]
 
 
 def quarantine_sources(processed: Path, refused: Sequence[Refused]) -> None:
-    """Put refused sources into quarantine. Syncing all their files together is twenty times faster than syncing them
-    one by one.
+    """Put refused sources into quarantine. The files of all records are synced together, which is twenty times as fast
+    as syncing them one by one.
 
     A record quotes its log. Therefore, the record gets the same read permissions as the log.
     """
@@ -161,5 +161,5 @@ def quarantine_sources(processed: Path, refused: Sequence[Refused]) -> None:
 
 
 def remove_from_quarantine(processed: Path, path: str) -> None:
-    """Remove the record of a source, if it exists, because the source was repaired and is now stored."""
+    """Remove the record of a source that was repaired and is now stored, if there is one."""
     shutil.rmtree(processed / FOLDER / digest(path), ignore_errors=True)

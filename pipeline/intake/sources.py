@@ -1,7 +1,7 @@
 """Search for logs, choice of the profile that claims each log, and reading in batches. Nothing is written.
 
 ``ros2 bag record`` creates a folder with ``metadata.yaml`` and ``.db3`` or ``.mcap`` files. It splits a long recording
-into several files, which together are one log.
+into several files, which together form one log.
 """
 
 from __future__ import annotations
@@ -35,12 +35,13 @@ from pipeline.records.findings import Motion
 from pipeline.store.names import folder_name
 
 MANY = 400
-"""Threshold for the number of sources. Above it, checking recordings together saves more time than loading compiled
-code takes."""
+"""Threshold for the number of sources above which checking recordings together saves more time than loading the
+compiled code takes."""
 
 BATCH_LOGS = 256
 BATCH_BYTES = 6 << 20
-"""Number of logs, and bytes of text, that are parsed together. The cost of a call is then negligible, memory small."""
+"""Number of logs, and bytes of text, that are parsed together. The overhead of each call is then negligible, and the
+memory is small."""
 
 LONGEST_FOLDER = 200
 """Longest folder name of a device or experiment [byte]. File systems allow 255 bytes."""
@@ -49,7 +50,7 @@ METADATA = "metadata.yaml"
 ENDINGS = (".db3", ".mcap")
 
 LARGEST_METADATA = 1 << 20
-"""Number of bytes that are read of ``metadata.yaml``. It has a few hundred bytes for each file and topic."""
+"""Number of bytes of ``metadata.yaml`` that are read. The file has a few hundred bytes for each file and topic."""
 
 _LISTED = re.compile(r"relative_file_paths:\s*(\[[^\]]*\]|(?:[ ]*-[^\n]*(?:\n|$))+)")
 _RECORDED = re.compile(rf"""[^/'",\[\]\n]*({"|".join(map(re.escape, ENDINGS))})(\.zstd)?\b""")
@@ -57,7 +58,7 @@ _RECORDED = re.compile(rf"""[^/'",\[\]\n]*({"|".join(map(re.escape, ENDINGS))})(
 
 
 def files_of_bag(file: Path) -> tuple[Path, ...]:
-    """Return the files of the bag that a file belongs to, from ``metadata.yaml`` in its folder.
+    """Return the files of the bag to which a file belongs, as listed in ``metadata.yaml`` in its folder.
 
     Otherwise, return ().
     """
@@ -70,7 +71,7 @@ def files_of_bag(file: Path) -> tuple[Path, ...]:
         return ()
     section = _LISTED.search(text)
     found = [name[0].lstrip("- ") for name in _RECORDED.finditer(section[1])] if section else []
-    # A file that was unpacked by hand has lost its second extension.
+    # A file that was unpacked manually has lost its second extension.
     names = [plain if os.path.exists(file.with_name(plain := name.removesuffix(".zstd"))) else name for name in found]
     return tuple(map(file.with_name, names)) if file.name in (METADATA, *names) else ()
 
@@ -91,7 +92,7 @@ _ENDINGS = frozenset(" ".join(_NO_LOGS.values()).split())
 
 
 def is_no_log(name: str) -> bool:
-    """Return whether the name of a file shows that it is a paper, script, settings file or picture.
+    """Return True if the name of a file shows that it is a paper, script, settings file or picture.
 
     >>> [is_no_log(name) for name in ("README.txt", "lab.toml", "look.html", "run_1.csv", "run.txt")]
     [True, True, True, False, False]
@@ -109,7 +110,7 @@ class Notices:
     folders : list of (Path, str)
         Folders that were not searched, each with the reason (a link, or unreadable).
     ignored : list of Path
-        Files in searched folders that are not logs, according to their names or the caller's patterns.
+        Files in searched folders that are not logs, according to their names or to the patterns of the caller.
     """
 
     folders: list[tuple[Path, str]] = field(default_factory=list)
@@ -123,20 +124,20 @@ class Source:
     Parameters
     ----------
     path : Path
-        Path of the first file, as found. For a ROS 2 bag, it is the path of the folder, because the folder is one log.
+        Path of the first file, as found. For a ROS 2 bag, the path of the folder, because the folder is one log.
     key : str
-        Absolute path in the form of `file_names.path_text`, which does not depend on the current folder. It is the key
-        of the log in `processed/`.
+        Absolute path in the form of `file_names.path_text`, which does not depend on the current folder. Key of the log
+        in `processed/`.
     files : tuple of Path
         All files of the log.
     size, mtime_ns : int
-        Total size of the files [byte] and newest modification time [ns].
+        Total size of the files [byte], and time of the newest modification [ns].
     profile : Profile or None
         Profile that reads the log.
     problem : LogError or None
         Reason why the log cannot be read at all.
     mode : int
-        Permission bits that all of its files have.
+        Permission bits that all files of the log have.
     """
 
     path: Path
@@ -160,7 +161,7 @@ class Source:
 
     @cached_property
     def named_conditions(self) -> str | None:
-        """Conditions that the profile reads from the name of the log, as text. None if it does not read names.
+        """Conditions that the profile reads from the name of the log, as text. None if the profile does not read names.
 
         Equivalent names, such as names with 2 and 2.0, give the same text.
         """
@@ -197,7 +198,7 @@ class RequestedProfiles:
 
 
 def requested_profiles(profile: str | Path | Profile | None, paths: Sequence[Path]) -> RequestedProfiles:
-    """Return the given profile after reading its sheet, or the shipped profiles if no profile is given.
+    """Return the given profile with its sheet read, or the shipped profiles if no profile is given.
 
     Raises
     ------
@@ -212,7 +213,7 @@ def requested_profiles(profile: str | Path | Profile | None, paths: Sequence[Pat
     sheet = Path(loaded.sheet.file)
     names = {file.name for path in paths for file in (_files(path, None, [], {}) if path.is_dir() else [path])}
     read, found = with_sheet(loaded, names)
-    # If a single log is given, the other logs of the sheet are elsewhere.
+    # If single files are given, rows of the sheet for other logs are no mismatch.
     notices = tuple((sheet, text) for text in found) if any(path.is_dir() for path in paths) else ()
     return RequestedProfiles((read,), (escape(os.path.abspath(sheet)),), notices)
 
@@ -229,7 +230,7 @@ def find_sources(
 
     Links to files are followed. Links to folders inside a searched folder are added to `notices`, because they may be
     circular. A paper, script, settings file or picture in a searched folder, as recognised by its name, is not a log
-    unless a profile names its extension. A file that is given explicitly is always a log.
+    unless a profile names its extension. A file that is named explicitly is always treated as a log.
 
     Parameters
     ----------
@@ -242,10 +243,10 @@ def find_sources(
     notices : Notices, optional
         Receives the skipped folders and files.
     unchanged : dict of str to (int, int), optional
-        Size [byte] and time [ns] of known files, by absolute path. Files that still match are skipped, and their
+        Size [byte] and time [ns] of known files, by absolute path. Files that are unchanged are skipped, and their
         entries are removed from this mapping.
     ignore : sequence of str
-        Patterns of files in searched folders that are not logs. They are matched with names and absolute paths.
+        Patterns of files in searched folders that are not logs. The patterns are matched with names and absolute paths.
 
     Raises
     ------
@@ -281,21 +282,20 @@ def _matches(file: Path, patterns: Sequence[str]) -> bool:
 
 
 def _names_ending(profile: Profile | None, file: Path) -> bool:
-    """Return whether a pattern of the profile names the extension of a file, so that the file is a log."""
+    """Return True if a pattern of the profile names the extension of a file, so that the file is a log."""
     ending = file.suffix.lower() or file.name.lower()
     return profile is not None and any(pattern.lower().endswith(ending) for pattern in profile.files)
 
 
 def check_places(paths: Sequence[Path], exclude: Path | None) -> str | None:
-    """Return the real path of the excluded folder, after checking that the folders may be searched.
-
-    The errors are those of `find_sources`.
+    """Return the real path of the excluded folder, after checking that the folders may be searched. Errors are raised
+    as by `find_sources`.
     """
     # The target of a link may also be reached by its real path.
     excluded = None if exclude is None else os.path.realpath(exclude)
     for path in paths:
         if not os.path.exists(path):
-            raise UsageError(f"{path}: does not exist or cannot be read. Give logs, or folders with logs.")
+            raise UsageError(f"{path}: does not exist or cannot be read. Name logs, or folders with logs.")
         if excluded is not None and os.path.join(os.path.realpath(path), "").startswith(os.path.join(excluded, "")):
             raise UsageError(f"{path}: is inside {exclude}, the folder of results. Give folders with logs.")
     return excluded
@@ -311,7 +311,7 @@ def _files(
 
     for here, folders, names in os.walk(folder, onerror=refused):
         shown = [Path(here, name) for name in folders if name[0] != "."]
-        text = "is a link to a folder, which is not followed. If it has logs, give its path."
+        text = "is a link to a folder, which is not followed. If the folder has logs, name its path."
         notices += [(path, text) for path in shown if path.is_symlink()]
         folders[:] = [path.name for path in shown if os.path.realpath(path) != excluded]
         below = os.path.join(os.path.abspath(here), "")
@@ -324,7 +324,7 @@ def _files(
 
 
 def _state(path: str) -> tuple[int, int] | None:
-    """Return size and time of a path. For a link, they are those of the link itself."""
+    """Return the size and the time of a path. For a link, these are the size and the time of the link itself."""
     with suppress(OSError):
         status = os.lstat(path)
         return status.st_size, status.st_mtime_ns
@@ -332,8 +332,8 @@ def _state(path: str) -> tuple[int, int] | None:
 
 
 def is_settled(mtime_ns: int, settle_s: float) -> bool:
-    """Return whether a modification time [ns] is at least `settle_s` ago. Then the recording has ended."""
-    # A time in the future, due to a wrong clock, must not cause endless waiting.
+    """Return True if a modification time [ns] is at least `settle_s` ago, so that the recording has ended."""
+    # A time in the future, due to a wrong clock, must not cause an endless wait.
     return abs(time.time_ns() - mtime_ns) >= settle_s * 1e9
 
 
@@ -342,7 +342,7 @@ def _source(file: Path, profiles: tuple[Profile, ...]) -> Source:
     profile, path = _claimed(bag[0] if bag else file, profiles)
     if profile is None:
         accepted = re.sub(r"(\[0-9\])+", "#", "; ".join(f"{p.name}: {', '.join(p.files)}" for p in profiles))
-        problem = refusal("no-profile", "", f"no profile claims a file of this name; accepted are {accepted}")
+        problem = refusal("no-profile", "", f"no profile claims a file of this name; accepted names are {accepted}")
     partner = profile.partner_of(path) if profile and not bag else None
     files = bag or tuple(filter(None, (path, partner)))
     path = file.parent if bag else path
@@ -358,7 +358,7 @@ def _source(file: Path, profiles: tuple[Profile, ...]) -> Source:
 
 
 def _status(file: Path, one_of_several: bool) -> os.stat_result:
-    """Return size and times of a file of a log.
+    """Return the size and the times of a file of a log.
 
     Raises
     ------
@@ -377,7 +377,7 @@ def _status(file: Path, one_of_several: bool) -> os.stat_result:
 
 
 def _claimed(file: Path, profiles: tuple[Profile, ...]) -> tuple[Profile | None, Path]:
-    """Return the profile that claims a file, and the path of the log that the file belongs to."""
+    """Return the profile that claims a file, and the path of the log to which the file belongs."""
     for profile in profiles:
         if (log := profile.log_of_partner(file)) is not None:
             return profile, log
@@ -386,7 +386,7 @@ def _claimed(file: Path, profiles: tuple[Profile, ...]) -> tuple[Profile | None,
 
 @dataclass(frozen=True, eq=False)
 class Read:
-    """A source after reading, with its logs, with a refusal, or with None if its content is already stored.
+    """A source after reading, with its logs, or with a refusal, or with None if its content is already stored.
 
     ``source`` has the size and time of the files while they were read.
     """
@@ -401,17 +401,17 @@ def read_and_check(
 ) -> list[Read]:
     """Read, hash, parse and check sources of one profile, in the given order.
 
-    The function writes nothing and has no state, so that it may run in a thread.
+    The function does not write and has no state, so that it may run in a thread.
 
     Parameters
     ----------
     sources : sequence of Source
-        Sources that are all claimed by one profile, or by none. Their total size is at most a few MB, as all are kept
-        in memory.
+        Sources that are all claimed by one profile, or by none. Their total size must be at most a few MB, because all
+        of them are kept in memory.
     known : callable
-        Function that returns whether a source with the given SHA-256 is already stored. Such a source is not parsed.
+        Function that returns True if a source with the given SHA-256 is already stored. Such a source is not parsed.
     together : bool, optional
-        Whether the recordings are checked together, which is faster for more than `MANY` sources.
+        True if the recordings are checked together, which is faster for more than `MANY` sources.
     """
     reads, raws = list[Read](), dict[int, RawLog]()
     for index, source in enumerate(sources):
@@ -428,7 +428,7 @@ def read_and_check(
             reads[index] = replace(reads[index], result=outcome)
     for read in reads:
         if isinstance(why := read.result, LogError):
-            # The traceback would keep the content of logs in memory.
+            # The traceback is removed, because it would keep the content of logs in memory.
             why.__traceback__ = why.__cause__ = why.__context__ = None
     if together:
         find_together([log for read in reads if isinstance(read.result, tuple) for log in read.result])
@@ -441,7 +441,7 @@ def logs_of(source: Source) -> tuple[Profile, RawLog, tuple[Log, ...]]:
     Raises
     ------
     LogError
-        If the source is refused. The error has the faulty row.
+        If the source is refused. The error states the faulty row.
     """
     raw, _, _ = load_source(source)
     assert source.profile is not None, "a source that no profile claims is refused by load_source"
@@ -512,11 +512,11 @@ def motion_of(log: Log, known: Mapping[str, Motion]) -> Motion:
     device = known.get(header.device)
     if device and header.motion and device != header.motion:
         found = f"motion is {header.motion}, but the device {header.device!r} has {device}"
-        cure = "Correct the log, or give the device of this log another name."
+        cure = "Correct the log, or give the device of this log a different name."
         if drive_of(header.motion) != drive_of(device):
             cure = (
                 f"State the force per unit of command with --gain '2.3 N/{drive_of(header.motion)}', or give the "
-                "device of this log another name."
+                "device of this log a different name."
             )
         raise refusal("condition-wrong", "", found, cure=cure)
     return header.motion or device or "translation"

@@ -30,10 +30,11 @@ from pipeline.store.names import name_of_folder
 from pipeline.store.storage import read_rows, same_period, trials_files
 
 SEEN = ("source_path", "source_size", "source_mtime_ns", "source_trials", "claims")
-"""Columns that show whether a source is new. Each further column costs a tenth of the time with groups of 64 rows."""
+"""Columns that show whether a source is new. With row groups of 64 rows, each further column adds a tenth to the
+reading time."""
 
 MORE = ("source_sha256", "profile_sha256", "profile", "source_size", "source_mtime_ns", "device", "trial_id")
-"""Columns that are read if details of a stored log are needed."""
+"""Further columns, which are read only if details of a stored log are needed."""
 
 
 class StoredSource(NamedTuple):
@@ -46,9 +47,9 @@ class StoredSource(NamedTuple):
     size, mtime_ns : int
         Size [byte] and modification time [ns] of the source when it was read.
     devices, trials : tuple of str
-        Device and id of each trial of the source.
+        Device of each trial of the source, and id of each trial.
     whole : bool
-        Whether these are all trials of the source. An interrupted run may have written only some of them.
+        True if these are all trials of the source. An interrupted run may have written only some of them.
     """
 
     sha256: str
@@ -66,7 +67,7 @@ class StoredSource(NamedTuple):
 
 
 class StoredSources:
-    """Stored data of each source by path. Data that do not show whether a source is new are read when needed.
+    """Stored data of each source, keyed by path. Data that are not needed to detect new sources are read on demand.
 
     Parameters
     ----------
@@ -85,7 +86,7 @@ class StoredSources:
         missing = {name: trials[name] - count for name, count in Counter(path).items() if count != trials[name]}
         self.paths, self.partly = trials.keys(), missing.keys()
         self.doubled = min(missing.values(), default=0) < 0
-        """Whether any log is stored twice with different content."""
+        """True if any log is stored twice with different content."""
         states = zip(path, size, mtime_ns, by, strict=True)
         self.states = {name: (of, at) for name, of, at, claimed in states if claimed == claims}
         """Size [byte] and time [ns] of each completely stored source with a single file and an unambiguous profile."""
@@ -105,12 +106,13 @@ class StoredSources:
         return found
 
     def get(self, path: str) -> StoredSource | None:
-        """Return the stored data of a path. None if they are in a damaged file, so that the log counts as new."""
+        """Return the stored data of a path. For data in a damaged file, the result is None, so that the log counts as
+        new."""
         return self.taken.get(path) or (self._former.get(path) if path in self.paths else None)
 
     def places(self, but: set[str]) -> dict[str, str]:
-        """Return the path of the log of each stored trial, except for the sources in ``but`` and for incomplete
-        sources."""
+        """Return the path of the log of each stored trial, except the trials of the sources in ``but`` and of
+        incomplete sources."""
         rows = read_rows(self.processed, ("trial_id", "source_path"), self.damaged)
         pairs = zip(rows.column("trial_id"), rows.column("source_path"), strict=True)
         return {trial: path for trial, path in pairs if path not in but and path not in self.partly}
@@ -118,9 +120,9 @@ class StoredSources:
 
 @dataclass
 class Periods:
-    """Sampling period [s] of each experiment in a store, by device and experiment. The first log determines it.
-
-    A log with another period belongs to another loop. Therefore, it is assigned to a separate experiment.
+    """Sampling period [s] of each experiment in a store, keyed by device and experiment. The first log of an experiment
+    determines its period. A log with a different period belongs to a different loop, and is therefore assigned to a
+    separate experiment.
     """
 
     processed: Path
@@ -132,13 +134,14 @@ class Periods:
         for file in trials_files(self.processed):
             place = name_of_folder(file.parent.parent.name), name_of_folder(file.parent.name)
             if place not in found:
-                # Functions that read more of a damaged file report the damage.
+                # The damage is reported by functions that read more of the file.
                 with suppress(StoreError, FileNotFoundError), open_table(file) as stored:
                     found[place] = stored.read_row_group(0, ["sampling_period_s"]).column(0)[0].as_py()
         return found
 
     def assign(self, log: Log) -> Log:
-        """Return a log with the experiment of its period. If this differs from the header, the log has a warning."""
+        """Return a log, assigned to the experiment with its period. If this experiment differs from the header, the log
+        has a warning."""
         header, period = log.header, log.header.sampling_period_s
         common = self.known.setdefault((header.device, header.experiment), period)
         if same_period(common, period):
@@ -150,13 +153,14 @@ class Periods:
         self.known.setdefault((header.device, name), period)
         text = (
             f"the sampling period is {1e3 * period:.4g} ms, but logs of experiment {header.experiment!r} have "
-            f"{1e3 * common:.4g} ms. It is stored as experiment {name!r}, because another period is another loop."
+            f"{1e3 * common:.4g} ms. This log is stored as experiment {name!r}, because a different period is a "
+            "different loop."
         )
         return replace(log, header=replace(header, experiment=name), warnings=(*log.warnings, text))
 
 
 OTHER_GAINS = "other_gains"
-"""Key in ``extra`` for a sentence on gains that the command follows although the header states others."""
+"""Key in ``extra`` for a sentence on gains that the command follows and that differ from the header."""
 
 LOG_BYTES = 2048
 """Memory of a log without its samples [byte]."""
@@ -167,7 +171,8 @@ _CONDITIONS = ("device", "experiment", "stiffness", "damping", "step", "sampling
 
 @dataclass(frozen=True, eq=False)
 class Accepted:
-    """A checked log with its row in the trials table. Columns that are computed for many logs at a time are missing."""
+    """A checked log with its row in the trials table. Columns that are computed for many logs together are still
+    missing."""
 
     source: Source
     log: Log
@@ -195,7 +200,7 @@ def accepted_logs(
 ) -> list[Accepted]:
     """Return the trials of a source.
 
-    If the command of a trial was computed with other gains than those in the header, it is flagged with a warning.
+    A trial is flagged with a warning if its command was computed with gains other than those in the header.
 
     Parameters
     ----------
@@ -227,7 +232,7 @@ def accepted_logs(
     found = []
     for log in logs:
         row = common | {"motion": motion_of(log, known), "label": log.label, "rows": len(log.time)}
-        # A faulty recording may distort the command, which does not indicate another wall.
+        # A distortion of the command by a faulty recording does not indicate a different wall.
         is_safe = not any(finding.is_unsafe for finding in log.findings)
         if is_safe and (text := gain_mismatch(source.profile, log)) is not None:
             header = replace(log.header, extra=log.header.extra | {OTHER_GAINS: text})
@@ -240,7 +245,7 @@ def accepted_logs(
 
 
 def batches_of(accepted: Sequence[Accepted]) -> dict[ExperimentKey, Iterator[pa.Table]]:
-    """Return the trials of logs by file key, one row group at a time."""
+    """Return the trials of logs for each file key, as one table for each row group."""
     places = defaultdict[ExperimentKey, list[Accepted]](list)
     for one in accepted:
         places[one.place].append(one)
@@ -284,7 +289,7 @@ def trial_id(sha256: str, label: str | None, conditions: str | None = None) -> s
     label : str or None
         Label of the trial in the source.
     conditions : str, optional
-        Conditions read from the file name. The same samples with other conditions are another trial.
+        Conditions read from the file name. The same samples with different conditions are a different trial.
     """
     parts = [part for part in (label, conditions) if part is not None]
     # Neither a label nor a name contains a NUL character.

@@ -1,1 +1,2 @@
-"""Profiles, in which a lab declares the columns and units of its files, and conditions that the files do not state."""
+"""Profiles, in which a lab declares the columns and units of its files, and the conditions that the files do not
+state."""

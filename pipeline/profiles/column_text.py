@@ -1,7 +1,6 @@
-"""Texts of the command line that give a column with its unit, or a constant with its unit.
-
-``t:ms`` is the column ``t`` in ms, ``-x:mm`` the column ``x`` in mm with the opposite sign, ``4 N`` a constant. A name
-that contains a quotation mark, or a colon before a unit, is written in double quotes: ``"F:N":mN``.
+"""Texts of the command line that state a column with its unit, or a constant with its unit. ``t:ms`` is the column
+``t`` in ms, ``-x:mm`` is the column ``x`` in mm with the opposite sign, and ``4 N`` is a constant. A name that contains
+a quotation mark, or a colon before a unit, is written in double quotes: ``"F:N":mN``.
 """
 
 from __future__ import annotations
@@ -16,14 +15,14 @@ from pipeline.base.errors import UsageError
 from pipeline.base.units import find_unit, split_quantity
 
 LISTED_COLUMNS = 40
-"""Largest number of columns listed in a message. A bag has hundreds."""
+"""Largest number of columns that are listed in a message. A bag has hundreds."""
 
 _QUOTED = re.compile(r'"((?:[^"]|"")*)"(?::(.*))?')
 
 
 @dataclass(frozen=True)
 class ColumnText:
-    """A column or a constant, as the user wrote it.
+    """A column or a constant, as written by the user.
 
     Parameters
     ----------
@@ -32,7 +31,7 @@ class ColumnText:
     value : float or None
         The constant, or None for a column.
     unit : str
-        Unit as written. It is empty if no unit was written.
+        Unit as written. Empty if no unit was written.
     sign : {1, -1} or None
         Sign before the name of the column, or None if there is none.
     """
@@ -91,7 +90,7 @@ class ColumnText:
 
 
 def _named(text: str, names: Collection[str]) -> tuple[str, str] | None:
-    """Return the column that a text names, and its unit. Return None if the text names no column."""
+    """Return the column that a text names, and its unit, or None if the text names no column."""
     if (quoted := _QUOTED.fullmatch(text)) and (name := quoted[1].replace('""', '"')) in names:
         return name, (quoted[2] or "").strip()
     name, colon, unit = text.rpartition(":")
@@ -109,4 +108,6 @@ def _lacking(text: str, names: Collection[str]) -> str:
     near = get_close_matches(stem, names, 3) or [n for n in names if n.casefold() == stem.casefold()]
     listing = ", ".join(list(names)[:LISTED_COLUMNS]) + (", ..." if len(names) > LISTED_COLUMNS else "")
     nearest = f" Nearest: {', '.join(near)}." if near else ""
-    return f"no column {stem!r}.{nearest} Columns of the file: {listing or 'none'}. Write name, colon and unit."
+    return (
+        f"no column {stem!r}.{nearest} Columns of the file: {listing or 'none'}. Write the name, a colon and the unit."
+    )

@@ -1,9 +1,9 @@
 """Files of log profiles. A profile describes in TOML how the files of a lab map to SI columns.
 
-Shipped profiles are in ``schemas/profiles``. A user selects another profile by its file name. A profile lists the file
-names that it claims, the partner file if a log consists of two files, the columns with their units and signs, and the
-conditions that the files do not state. `pipeline.profiles.profile_model` describes the keys. The message about a
-mistake contains the line of the TOML text, the key, and the most similar valid key.
+Shipped profiles are in ``schemas/profiles``. A user selects any other profile by its file name. A profile lists the
+file names that it claims, the partner file if a log consists of two files, the columns with their units and signs, and
+the conditions that are not stated in the files. `pipeline.profiles.profile_model` describes the keys. The message about
+an error contains the line of the TOML text, the key, and the most similar valid key.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ _WORDS = {
     "dict_type": "Input should be a table of keys",
     "string_pattern_mismatch": "must be part of a file name in the same folder",
 }
-"""Messages that use the TOML names of value types instead of the Python names."""
+"""Messages of the validator, with the TOML names of value types instead of the Python names."""
 
 _STATEMENT = re.compile(r"""\s*(\[{0,2})\s*([\w"'. -]+?)\s*[\]=]""")
-"""Pattern of the head of a table, or of a key."""
+"""Pattern of the header line of a table, or of a key."""
 
 
 def read_profile(path: Path) -> Profile:
@@ -60,7 +60,7 @@ def read_profile(path: Path) -> Profile:
         raise ProfileError(f"{path}: the profile is not valid TOML (UTF-8): {error}.") from error
     questions = find_questions(text)
     asked = {question.place for question in questions}
-    # A key with an open question is not also reported as missing.
+    # A key with an open question is not reported as missing in addition.
     wrong = [mistake for mistake in find_mistakes(values, text) if mistake.place not in asked]
     found = sorted((*questions, *wrong), key=lambda mistake: mistake.line)
     if found:
@@ -95,13 +95,13 @@ def load_profile(profile: str | Path | Profile) -> Profile:
     if path.is_file():
         return read_profile(path)
     raise ProfileError(
-        f"profile {str(profile)!r} is neither a file nor a shipped profile; expected one of "
-        f"{sorted(shipped)} or the path of a TOML file."
+        f"profile {str(profile)!r} is neither a file nor a shipped profile. Expected one of {sorted(shipped)}, or the "
+        "path of a TOML file."
     )
 
 
 def claim(name: str, profiles: tuple[Profile, ...]) -> Profile | None:
-    """Return the profile that claims a log by its file name. Other profiles have priority over the native profile.
+    """Return the profile that claims a log by its file name. All other profiles have priority over the native profile.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def claim(name: str, profiles: tuple[Profile, ...]) -> Profile | None:
     specific = [p for p in profiles if p.format != "native" and p.claims(name)]
     if len(specific) > 1:
         raise ProfileError(
-            f"{name}: claimed by the profiles {[p.name for p in specific]}; expected a single one. "
+            f"{name}: claimed by the profiles {[p.name for p in specific]}, but only one profile may claim a file. "
             "Choose a profile with --profile, or narrow the `files` patterns."
         )
     if specific:
@@ -129,9 +129,9 @@ class Mistake:
 
 
 def find_mistakes(values: JsonObject, text: str) -> list[Mistake]:
-    """Return the errors of a profile in order of lines. The list is empty if there are none.
+    """Return the errors of a profile, ordered by line. The list is empty if there are no errors.
 
-    Contradictions between keys are checked only if each single key is valid.
+    Contradictions between keys are checked only if each individual key is valid.
 
     Parameters
     ----------
@@ -152,9 +152,8 @@ def find_mistakes(values: JsonObject, text: str) -> list[Mistake]:
 
 
 def find_questions(text: str) -> list[Mistake]:
-    """Return the open questions of a draft, ``# QUESTION: key: words``.
-
-    Each is above its key, which is commented out.
+    """Return the open questions of a draft, ``# QUESTION: key: words``. Each question is above its key, which is
+    commented out.
     """
     found, lines = [], text.splitlines()
     for number, line in enumerate(lines, start=1):
@@ -231,7 +230,7 @@ def key_lines(text: str) -> dict[Place, int]:
             entries[(*placed(above), last.strip(" \"'"))] += 1
         table = placed(name) if brackets else table
         place = table if brackets else (*table, *(part.strip(" \"'") for part in name.split(".")))
-        # A table that only occurs in dotted names begins with its first key.
+        # A table that occurs only in dotted names begins at its first key.
         for length in range(1, len(place) + 1):
             lines.setdefault(place[:length], number)
     return lines

@@ -1,6 +1,6 @@
 """The record of a log profile: files, format, columns, conditions and windows of rows.
 
-If keys contradict each other, `Profile` raises one error that lists every problem with its place.
+If keys contradict each other, `Profile` raises a single error that lists every problem with its place.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from pipeline.records.findings import Grip, Motion, Name, Record
 from pipeline.records.native import OF_WALL
 
 Kind = Literal["translation", "rotation"]
-"""Type of motion of a device. It does not depend on the quantity of the command."""
+"""Type of motion of a device. The type does not depend on the quantity of the command."""
 
 QUANTITIES: dict[str, dict[Kind, str]] = {
     "time": {"translation": "time", "rotation": "time"},
@@ -37,7 +37,7 @@ QUANTITIES: dict[str, dict[Kind, str]] = {
     "force": {"translation": "force", "rotation": "torque"},
     "velocity": {"translation": "velocity", "rotation": "angular velocity"},
 }
-"""Physical quantity of each column by type of motion, for a command that is a force or torque."""
+"""Physical quantity of each column for each type of motion, for a command that is a force or torque."""
 
 Excitation = Literal["step", "release", "hit", "free", "staircase"]
 """Cause of the motion in a trial.
@@ -54,7 +54,7 @@ IMPLIED: dict[Excitation, tuple[str, ...]] = {
     "free": OF_WALL,
     "staircase": OF_WALL,
 }
-"""Conditions that are 0 in each kind of trial."""
+"""Conditions that are always 0 in trials of each kind."""
 
 _DIMENSIONS: dict[str, Dimension] = {
     "time": "time",
@@ -75,7 +75,7 @@ def quantity(key: str, motion: Motion) -> str:
     >>> quantity("stiffness", "rotation"), quantity("command", "rotation in V"), quantity("force", "rotation in V")
     ('rotational stiffness', 'voltage', 'torque')
     """
-    if key == "force":  # a sensor measures a force, whatever the quantity of the command
+    if key == "force":  # a sensor measures a force, regardless of the quantity of the command
         return QUANTITIES[key]["rotation" if is_rotation(motion) else "translation"]
     unit = find_unit(unit_of(_DIMENSIONS[key], motion))
     assert unit is not None, "the units of all dimensions are known"
@@ -96,15 +96,15 @@ Problem = tuple[tuple[str | int, ...], str]
 
 
 NoTruth = BeforeValidator(lambda value: "true" if value is True else value)
-"""Validator that refuses true, which would otherwise be read as 1."""
+"""Validator that refuses true, because it would otherwise be read as 1."""
 
 _NEGATED = {
-    "command": "a positive number pushes towards smaller positions",
+    "command": "a positive command accelerates the device towards smaller positions",
     "position": "its numbers decrease when the device moves in the positive direction",
     "force": "its direction is opposite to that of the command",
     "velocity": "its direction is opposite to that of the position",
 }
-"""Meaning of the sign -1 for each column. It completes the words "if -1 is given: ..." of a message."""
+"""Meaning of the sign -1 for each column. The text completes the message "sign = -1 if ..."."""
 
 
 NUMBERS_IN_NAMES = frozenset({"stiffness", "damping", "step", "sampling_period_s", "added_delay_samples"})
@@ -119,8 +119,8 @@ _THOUSANDS = "{} may separate thousands. Write the number without them, with one
 
 @cache
 def _compiled(pattern: str) -> Any:
-    # Python's regular expressions may backtrack exponentially. For example, ^(a+)+$ takes years for a name of sixty
-    # letters.
+    # re2 is used because regular expressions of Python may backtrack exponentially. For example, ^(a+)+$ would take
+    # years for a name of sixty letters.
     options = re2.Options()
     options.log_errors = False  # errors are raised as exceptions
     return re2.compile(pattern, options)
@@ -137,11 +137,10 @@ def find_groups(pattern: str, text: str) -> dict[str, str] | None:
 
 
 def conditions_in_name(pattern: str, name: str) -> dict[str, str] | None:
-    """Return the conditions that a pattern reads from a file name, or None if it does not match.
-
-    If there is no match, the pattern is tried again with points in place of commas between digits. A number is always
-    returned completely. If the pattern ends it at a comma between digits, the remaining digits are appended. A comma
-    that the pattern requires is a separator.
+    """Return the conditions that a pattern reads from a file name, or None if the pattern does not match. Without a
+    match, the pattern is tried again with points in place of commas between digits. A number is always returned
+    completely. If the pattern ends a number at a comma between digits, the remaining digits are appended. A comma that
+    the pattern requires is a separator.
 
     Raises
     ------
@@ -173,8 +172,8 @@ def conditions_in_name(pattern: str, name: str) -> dict[str, str] | None:
         before = _CUT_BEFORE.search(name[:begin]) if found[key][:1].isdigit() else None
         if before is not None and not _requires_comma(pattern, text, begin - 1, group):
             raise ParameterError(
-                f"name_pattern takes {found[key]!r} as the {key} and omits {before[0]!r} before it. If the comma is "
-                "a decimal sign, include it in the group; otherwise write it before the group"
+                f"name_pattern takes {found[key]!r} as the {key} and omits {before[0]!r} before it. If the comma is a "
+                "decimal sign, include it in the group. Otherwise, write it before the group"
             )
         behind = _CUT_BEHIND.match(name[end:]) if found[key][-1:].isdigit() else None
         if behind is not None and not _requires_comma(pattern, text, end, group):
@@ -184,7 +183,7 @@ def conditions_in_name(pattern: str, name: str) -> dict[str, str] | None:
 
 
 def _requires_comma(pattern: str, text: str, comma: int, group: int) -> bool:
-    """Return whether a pattern requires a comma. If so, another character in its place changes the match of the
+    """Return True if a pattern requires a comma, so that a different character in its place changes the match of the
     group."""
     spans = []
     for tried in (text, f"{text[:comma]}\x01{text[comma + 1 :]}"):
@@ -229,14 +228,14 @@ def group_names(pattern: str) -> frozenset[str]:
 
 
 def pattern_problem(pattern: str | None) -> str | None:
-    """Return why a pattern is invalid, with the remedy, or None if it is valid."""
+    """Return the reason why a pattern is invalid, with the remedy, or None if the pattern is valid."""
     try:
         _compiled(pattern or "")
     except re2.error as error:
         found = error.args[0].decode() if isinstance(error.args[0], bytes) else error.args[0]
         return (
-            f"no regular expression: {found}. Lookahead, lookbehind and backreferences are not supported. Write out "
-            "the text at that place, or state the condition in [[file]]"
+            f"not a valid regular expression: {found}. Lookahead, lookbehind and backreferences are not supported. "
+            "Write out the text at that place, or state the condition in [[file]]"
         )
     return None
 
@@ -255,18 +254,18 @@ class TextLayout(Record):
     skip_rows : int
         Number of lines above the table, or above the first line that is compared with `header_at`.
     header : bool
-        Whether the table begins with a line of column names. Otherwise, columns are selected by position (``column =
+        True if the table begins with a line of column names. Otherwise, columns are selected by position (``column =
         3``).
     header_at : str, optional
-        Regular expression. The table begins at the first matching line, for example after a banner.
+        Regular expression. The table begins at the first matching line, for example below a block of header lines.
     unit_line : bool
-        Whether the line below the names contains units. Checks display these units but never apply them.
+        True if the line below the names contains units. Checks display these units but never apply them.
     comment : str, optional
         Prefix of lines that are skipped.
     labels : str, optional
         Separator between label and value in lines such as ``Gain: 32``, above the table or between its rows.
     trailing_delimiter : bool
-        Whether rows end with an additional delimiter.
+        True if rows end with an additional delimiter.
     row_end : str, optional
         Other character at the end of rows, such as ``;`` if commas separate the cells.
     blank_lines : {"refuse", "skip"}
@@ -299,9 +298,9 @@ class TextLayout(Record):
         if len(self.delimiter) != 1 and self.delimiter != BLANKS:
             yield ("delimiter",), f"expected one character or {BLANKS!r}, found {self.delimiter!r}"
         if self.decimal is None:
-            yield ("decimal",), """missing; add the line decimal = "." or decimal = ",", as used in the file"""
+            yield ("decimal",), """missing; add the line decimal = "." or decimal = ",", depending on the file"""
         if self.delimiter == self.decimal:
-            yield ("decimal",), f"{self.decimal!r} is also the delimiter; expected different characters"
+            yield ("decimal",), f"{self.decimal!r} is also the delimiter, but the two characters must differ"
         if problem := pattern_problem(self.header_at):
             yield ("header_at",), problem
 
@@ -341,7 +340,7 @@ class Source(Record):
 
     @property
     def in_file(self) -> bool:
-        """Whether a column of the file is given."""
+        """True if a column of the file is stated."""
         return self.name is not None or self.column is not None
 
     @property
@@ -359,8 +358,8 @@ class ColumnSource(Source):
         -1 if the axis of the column points in the opposite direction. There is no default, because a sign is never
         guessed.
     stands_for : str, optional
-        Unit that replaces `unit` in logs of other systems, for example ``N`` for the ``%`` of a heater. It is stored
-        with each trial.
+        Unit that replaces `unit` in logs of other systems, for example ``N`` for the ``%`` of a heater. This unit is
+        stored with each trial.
     """
 
     sign: Annotated[Literal[1, -1], NoTruth] | None = None
@@ -376,7 +375,7 @@ class CommandSource(ColumnSource):
         The command [`unit`] from `from_row` (counted from 0) or `from_s` (seconds, same origin as the time stamps) on.
         Before, the command is 0.
     from_row, from_s : optional
-        Start of the command. Give one of the two.
+        Start of the command. Exactly one of the two is required.
     """
 
     value: Number | None = None
@@ -395,9 +394,9 @@ class PositionSource(ColumnSource):
         drives compute it from an encoder. The integral is exactly the encoder reading. ``"trapezoid"``: each velocity
         is the instantaneous velocity, for example of a tachometer, and changes linearly between rows.
     unwrap : bool or float, optional
-        Whether an angle that wraps after a turn is unwrapped. By default, only a rotation with clear wraps is
-        unwrapped; true unwraps whenever jumps show a modulus; false never unwraps. A number is the modulus in the unit
-        of the column.
+        Treatment of an angle that wraps after a turn. By default, only a rotation with clear wraps is unwrapped. With
+        true, an angle is unwrapped whenever jumps show a modulus, and with false never. A number is the modulus in the
+        unit of the column.
     """
 
     integrate: Literal["difference", "trapezoid"] | None = None
@@ -448,7 +447,7 @@ class Columns(Record):
     velocity: ColumnSource | None = None
 
     def sources(self) -> dict[str, Source]:
-        """Return the columns that are given, by SI name."""
+        """Return the stated columns, keyed by SI name."""
         found = {key: getattr(self, key) for key in Columns.model_fields}
         return {key: source for key, source in found.items() if source is not None}
 
@@ -463,7 +462,7 @@ def si_unit(quantity: str) -> str:
 
 
 def quantity_of(key: str, source: Source, motion: Motion) -> str:
-    """Return the physical quantity of a column. For a position that is integrated, it is a velocity."""
+    """Return the physical quantity of a column. For a position that is obtained by integration, this is a velocity."""
     integrated = isinstance(source, PositionSource) and source.integrate is not None
     return quantity("velocity" if integrated else key, motion)
 
@@ -503,7 +502,7 @@ class Gain:
         unit = find_unit(found[1]) if found else None
         if found is None or unit is None or unit.quantity not in units or not found[0] > 0:
             example = "N/V, mN/A, N/%, N/counts" if force == "force" else "Nm/V, mNm/A, Nm/%, Nm/counts"
-            raise ParameterError(f"found {text!r}; expected a number above 0 with its unit, such as {example}")
+            raise ParameterError(f"the gain is {text!r}; expected a number above 0 with its unit, such as {example}")
         return cls(found[0] * unit.factor, units[unit.quantity])
 
 
@@ -517,7 +516,7 @@ def factor(key: str, source: Source, motion: Motion, gain: Gain | None = None) -
     """
     sign, unit = 1, source.unit
     if isinstance(source, ColumnSource):
-        # A missing sign is reported separately. This only checks the unit.
+        # Only the unit is checked here. A missing sign is reported separately.
         sign, unit = source.sign or 1, source.stands_for or source.unit
     if unit is None:
         raise ParameterError(f"{key} has no unit")
@@ -536,9 +535,12 @@ def problems_of(columns: Columns, motion: Motion, gain: Gain | None = None) -> I
         yield from ((("columns", key, part), words) for part, words in _source_problems(key, source, motion, gain))
         other = taken.setdefault((source.file, source.key), key) if source.in_file else key
         if other != key:
-            text = f"{source.key!r} is also columns.{other}; expected another column"
+            text = f"{source.key!r} is also columns.{other}; expected a different column"
             if "velocity" in (key, other) and columns.position is not None and columns.position.integrate:
-                text = f"{source.key!r} is columns.position, which is integrated and kept as velocity. Remove this"
+                text = (
+                    f"{source.key!r} is already columns.position, which is integrated, and its values are stored as "
+                    "the velocity. Remove columns.velocity"
+                )
             yield ("columns", key, "column" if source.name is None else "name"), text
 
 
@@ -549,11 +551,11 @@ def _source_problems(key: str, source: Source, motion: Motion, gain: Gain | None
     if isinstance(source, ColumnSource) and source.sign is None:
         yield "sign", f"missing; add the line sign = 1 or sign = -1 (-1 if {_NEGATED[key]})"
     if source.name is not None and source.column is not None:
-        yield "column", "given together with name; expected only one of them"
+        yield "column", "stated together with name; expected only one of them"
     if isinstance(source, CommandSource) and stated == (source.from_row is None and source.from_s is None):
-        yield "value", "give value with either from_row or from_s, or give none of them"
+        yield "value", "expected value with either from_row or from_s, or none of the three"
     if stated and source.in_file:
-        yield "value", "given together with the column; expected only one of them"
+        yield "value", "stated together with the column; expected only one of them"
     if not source.in_file and not sampled and not stated:
         more = " (or, without such a column, value with from_row or from_s)" if key == "command" else ""
         yield "name", f'missing. Add name = "<column in the file>" or column = <position>{more}'
@@ -567,7 +569,7 @@ def _source_problems(key: str, source: Source, motion: Motion, gain: Gain | None
     try:
         factor(key, source, motion, gain)
     except ParameterError as error:
-        hint = "; for counts give counts_per_unit and the unit" if source.unit in ("count", "counts") else ""
+        hint = "; for counts, state counts_per_unit and the unit" if source.unit in ("count", "counts") else ""
         unit = find_unit(source.unit)
         if key == "position" and unit is not None and unit.quantity in QUANTITIES["velocity"].values():
             hint = '; a velocity is integrated with integrate = "difference" (encoder) or "trapezoid"'
@@ -605,7 +607,7 @@ class Partner(Record):
 
 
 class Conditions(Record):
-    """Conditions of a log, in SI or in the units of [units]. A condition is None if it is given elsewhere."""
+    """Conditions of a log, in SI or in the units of [units]. A condition is None if it is stated elsewhere."""
 
     device: Name | None = None
     experiment: Name | None = None
@@ -617,12 +619,13 @@ class Conditions(Record):
     grip: Grip | None = None
 
     def given(self) -> dict[str, str | float]:
-        """Return the conditions that are given."""
+        """Return the stated conditions."""
         return {key: value for key in CONDITIONS if (value := getattr(self, key)) is not None}
 
 
 class Constants(Conditions):
-    """Conditions of all files of a profile, and the type of motion. By default, the position's unit determines it."""
+    """Conditions of all files of a profile, and the type of motion. By default, the type of motion follows from the
+    unit of the position."""
 
     motion: Kind | None = None
 
@@ -630,8 +633,8 @@ class Constants(Conditions):
 class ConditionUnits(Record):
     """Units of conditions from all sources. The default is SI.
 
-    ``gain`` is the force per unit of a drive, such as ``"2.3 N/V"``. It converts a command in V, A, counts or %, and
-    conditions in these units, to force.
+    ``gain`` is the force per unit of a drive, such as ``"2.3 N/V"``. The gain converts a command in V, A, counts or %,
+    and conditions in these units, to force.
     """
 
     stiffness: Name | None = None
@@ -659,7 +662,7 @@ class StepTime(Record):
 
     @property
     def declared(self) -> list[str]:
-        """The keys for the step that are given. Exactly one is expected."""
+        """Stated keys for the time of the step. Exactly one is expected."""
         return [key for key in StepTime.model_fields if getattr(self, key) is not None]
 
 
@@ -684,9 +687,9 @@ class Sheet(Record):
     file : str
         Path of the table, relative to the folder of the profile.
     name : str, optional
-        Column that names the logs. By default, it is found by its content.
+        Column that names the logs. By default, this column is found by its content.
     columns : tuple of str
-        Columns that give conditions, such as ``"K:stiffness:N/mm"``. Other columns are identified by their names.
+        Columns that contain conditions, such as ``"K:stiffness:N/mm"``. Other columns are identified by their names.
     """
 
     file: Annotated[str, Field(min_length=1)]
@@ -707,7 +710,7 @@ class Profile(TextLayout, StepTime):
     ----------
     name, title : str
     format : str
-        File format. A native log already contains columns and conditions.
+        File format. Native logs already state their columns and conditions.
     files : tuple of str
         Patterns of the claimed file names (``*``, ``?``, ``[...]``; case is ignored).
     kind : {"step", "release", "hit", "free", "staircase"}
@@ -733,8 +736,8 @@ class Profile(TextLayout, StepTime):
     trial_column : str, optional
         Column of labels, for a file with several trials one after the other. Rows with the same label are one trial.
     trials : {"each group"}, optional
-        Whether each group of the file (HDF5, TDMS or MDF), or each element of a struct array or record, is a trial if
-        it has all columns. Names of columns and attributes are then those inside the group.
+        With "each group", each group of the file (HDF5, TDMS or MDF), or each element of a struct array or record, is a
+        trial if it has all columns. Names of columns and attributes are then those inside the group.
     steps : tuple of StepEntry
         Several steps in one file, each a separate trial.
     window : Window, optional
@@ -745,7 +748,7 @@ class Profile(TextLayout, StepTime):
 
     Notes
     -----
-    A condition is taken from the most specific source that gives it: steps, file, condition_columns, attributes,
+    A condition is taken from the most specific source that states it: steps, file, condition_columns, attributes,
     name_pattern, constants.
     """
 
@@ -778,7 +781,8 @@ class Profile(TextLayout, StepTime):
         return self
 
     def __hash__(self) -> int:
-        # Tables by condition are not hashable. Equal profiles have equal names and files.
+        # The hash uses only names and files, which equal profiles have in common, because dictionaries are not
+        # hashable.
         return hash((self.name, self.files))
 
     def _problems(self) -> Iterator[Problem]:
@@ -801,35 +805,38 @@ class Profile(TextLayout, StepTime):
             yield from problems_of(self.columns, self.motion, self._gain_or_none())
         partners = [key for key, source in self.column_sources().items() if source.file == "partner"]
         if self.partner is None and partners:
-            yield ("partner",), f"missing, but columns.{partners[0]} is in the partner. Add [partner] with replace, by"
+            yield (
+                ("partner",),
+                f"missing, but columns.{partners[0]} is in the partner. Add [partner] with replace and by",
+            )
         if self.partner and (self.partner.replace in self.partner.by or self.partner.by in self.partner.replace):
             yield ("partner", "by"), "'replace' and 'by' must not contain each other"
         yield from self._step_problems()
         yield from self._condition_problems()
 
     def _step_problems(self) -> Iterator[Problem]:
-        """Yield errors in [[steps]], and missing times of the step."""
+        """Yield errors in [[steps]], and errors due to missing times of the step."""
         entries = {(key, i): e for key in ("steps", "file") for i, e in enumerate(getattr(self, key))}
         places: list[tuple[tuple[str | int, ...], StepTime]] = [((), self), *entries.items()]
         for place, entry in places:
             if len(given := entry.declared) > 1:
-                yield (*place, given[1]), f"given in addition to {given[0]}; expected one of them"
+                yield (*place, given[1]), f"stated in addition to {given[0]}; expected only one of them"
         labels = [step.label for step in self.steps]
         for index, step in enumerate(self.steps):
             if step.sampling_period_s is not None:
                 words = "expected one value for the file. Move it to [constants]"
                 yield ("steps", index, "sampling_period_s"), words
             if labels.index(step.label) != index:
-                yield ("steps", index, "label"), f"{step.label!r} is given twice; expected a unique name"
+                yield ("steps", index, "label"), f"{step.label!r} occurs twice; expected a unique name"
         if self.steps and (self.trial_column or self.window or any(entry.window for entry in self.file)):
-            yield ("steps",), "given together with trial_column or a window; expected one of them"
+            yield ("steps",), "stated together with trial_column or a window; expected only one of them"
         varies = "step" in self._varying()
         constant = 0.0 if self.conditions().isdisjoint(OF_WALL) else None if varies else self.constants.step
         constant = 0.0 if self.kind != "step" else constant
         if self.kind != "step" and (declared := next(((p, e.declared[0]) for p, e in places if e.declared), None)):
-            yield (*declared[0], declared[1]), f"a trial of kind {self.kind!r} has no declared step. Remove it"
+            yield (*declared[0], declared[1]), f"a trial of kind {self.kind!r} has no declared step. Remove this key"
         steps = [constant, *(entry.step for entry in entries.values() if entry.step is not None)]
-        # An entry without a step, next to entries with a step, is refused when its files are read.
+        # If only some entries state a step, the files of the other entries are refused when they are read.
         if (
             self.sheet is None
             and not any(entry.declared for entry in (self, *entries.values()))
@@ -838,24 +845,24 @@ class Profile(TextLayout, StepTime):
             yield ("step_at",), STEP_MISSING
 
     def conditions(self) -> set[str]:
-        """Return the conditions that are given anywhere in the profile."""
+        """Return the conditions that are stated anywhere in the profile."""
         tables = {key for table in (self.constants, *self.file, *self.steps) for key in table.given()}
         return tables | self._varying() | {*IMPLIED[self.kind]}
 
     def _varying(self) -> set[str]:
-        """Return the conditions that each log gives by its name, attributes or columns."""
+        """Return the conditions that each log states by its name, attributes or columns."""
         return {*self.name_groups(), *self.attributes, *self.condition_columns}
 
     def _stated(self, key: str) -> set[Any]:
-        """Return the values of a condition that the profile itself gives, except 0."""
+        """Return the values of a condition that the profile itself states, except 0."""
         return {getattr(table, key) for table in (self.constants, *self.file, *self.steps)} - {None, 0.0}
 
     def _implied_problems(self) -> Iterator[Problem]:
-        """Yield conditions that are given although trials of this kind have no such condition."""
+        """Yield errors for conditions that are stated although trials of this kind do not have them."""
         for key in IMPLIED[self.kind]:
             stated = self._stated(key)
             if stated or key in self._varying():
-                text = f"a trial of kind {self.kind!r} has no such condition. Remove it, or correct `kind`"
+                text = f"a trial of kind {self.kind!r} has no such condition. Remove the condition, or correct `kind`"
                 yield ("constants" if stated else "kind", *((key,) if stated else ())), f"{key}: {text}"
 
     def _condition_problems(self) -> Iterator[Problem]:
@@ -867,15 +874,18 @@ class Profile(TextLayout, StepTime):
                 yield ("units", key), f"{error} (motion is {self.motion}){self._needs_gain(key)}"
         problem = pattern_problem(self.name_pattern)
         if problem is None and self.name_pattern is not None and not self.name_groups():
-            problem = "has no named group, and therefore gives no condition. Write (?P<stiffness>[0-9.]+) for (...)"
+            problem = (
+                "has no named group, and therefore no condition is read from the name. Write (?P<stiffness>[0-9.]+) "
+                "for (...)"
+            )
         if unknown := sorted(self.name_groups() - set(CONDITIONS)):
-            problem = f"unknown groups {unknown}; expected names from {list(CONDITIONS)}"
+            problem = f"the groups {unknown} are unknown; expected names from {list(CONDITIONS)}"
         if problem:
             yield ("name_pattern",), problem
         given = self.conditions()
         # The conditions of a sheet are unknown until it is read.
         for key in REQUIRED_CONDITIONS if self.sheet is None else ():
-            # A log of free motion, without wall and step, needs none of their conditions.
+            # A log of free motion, without a wall and a step, needs no conditions of a wall.
             if key not in given and not (key in OF_WALL and given.isdisjoint(OF_WALL)):
                 line = f"{key} = {_EXAMPLES.get(key, '<number>')}"
                 others = "or state it in name_pattern, attributes, condition_columns, [[file]] or [[steps]]"
@@ -883,7 +893,7 @@ class Profile(TextLayout, StepTime):
 
     @property
     def reads_names(self) -> bool:
-        """Whether the log that is read depends on the name of the file. A renamed copy may then be another log."""
+        """True if the content of a log depends on the name of the file. A renamed copy may then be a different log."""
         return self.name_pattern is not None or bool(self.file)
 
     def entries_for(self, name: str) -> list[FileEntry]:
@@ -895,7 +905,7 @@ class Profile(TextLayout, StepTime):
 
     @cached_property
     def _entries(self) -> tuple[dict[str, list[FileEntry]], list[FileEntry]]:
-        """Entries for exact file names, by name, and entries for patterns.
+        """Entries for exact file names, keyed by name, and entries for patterns.
 
         A sheet may have thousands of exact names.
         """
@@ -909,11 +919,11 @@ class Profile(TextLayout, StepTime):
         return exact, patterns
 
     def name_groups(self) -> frozenset[str]:
-        """Return the conditions that the file name gives."""
+        """Return the conditions that are read from the file name."""
         return frozenset() if pattern_problem(self.name_pattern) else group_names(self.name_pattern or "")
 
     def column_sources(self) -> dict[str, Source]:
-        """Return time, command, position, and the optional columns by their SI names."""
+        """Return time, command, position, and the optional columns, keyed by their SI names."""
         return {} if self.columns is None else self.columns.sources()
 
     def wanted(self, file: Literal["source", "partner"] = "source") -> dict[str, str]:
@@ -941,9 +951,8 @@ class Profile(TextLayout, StepTime):
 
     @property
     def motion_kind(self) -> Kind:
-        """Type of motion of the device, as stated or otherwise from the unit of the position.
-
-        If the position has no unit yet, as in a draft, the unit of the command decides.
+        """Type of motion of the device, as stated, otherwise from the unit of the position. If the position has no unit
+        yet, as in a draft, the unit of the command is used.
         """
         if self.constants.motion is not None:
             return self.constants.motion
@@ -970,7 +979,7 @@ class Profile(TextLayout, StepTime):
         return None if self.units.gain is None else Gain.read(self.units.gain, self.motion_kind)
 
     def _gain_or_none(self) -> Gain | None:
-        """Return the gain, or None if there is none or it is invalid. An invalid gain is reported separately."""
+        """Return the gain, or None if it is missing or invalid. An invalid gain is reported separately."""
         with suppress(ParameterError):
             return self.gain if self.drive else None
         return None
@@ -990,7 +999,7 @@ class Profile(TextLayout, StepTime):
         Raises
         ------
         ParameterError
-            If the unit is unknown or belongs to another quantity.
+            If the unit is unknown or belongs to a different quantity.
         """
         allowed, known = quantity(key, self.motion), find_unit(unit)
         gain = self.gain if key in OF_WALL else None
@@ -1004,7 +1013,8 @@ class Profile(TextLayout, StepTime):
         return 1.0 if unit is None else self.unit_factor(key, unit)
 
     def _gain_problems(self) -> Iterator[Problem]:
-        """Yield missing or wrong keys for a command in units of a drive, which must not be mistaken for a force."""
+        """Yield missing or wrong keys for a command in units of a drive, because such a command must not be mistaken
+        for a force."""
         assert self.columns is not None, "this is only called for a profile with columns"
         unit = self.columns.command.unit if self.columns.command else None
         for key in OF_WALL if self.drive else ():
@@ -1016,7 +1026,10 @@ class Profile(TextLayout, StepTime):
         if self.units.gain is None:
             return
         if not self.drive:
-            yield ("units", "gain"), f"the command is in {unit}, which needs no gain. Remove it, or correct the unit"
+            yield (
+                ("units", "gain"),
+                f"the command is in {unit}, which needs no gain. Remove the gain, or correct the unit",
+            )
             return
         try:
             gain = Gain.read(self.units.gain, self.motion_kind)
@@ -1031,10 +1044,13 @@ class Profile(TextLayout, StepTime):
         if not self.drive or self.units.gain is not None or key not in OF_WALL:
             return ""
         unit = next(iter(DRIVES[self.drive]))
-        return f'. The command is in {unit}: give the condition in {unit} too, or [units] gain = "<number> N/{unit}"'
+        return (
+            f". The command is in {unit}, so state the condition in {unit} as well, or add "
+            f'[units] gain = "<number> N/{unit}"'
+        )
 
     def claims(self, name: str) -> bool:
-        """Return whether a file name belongs to a log (not to a partner) of this profile."""
+        """Return True if a file name belongs to a log (not to a partner) of this profile."""
         return _name_pattern(self.files).match(name.lower()) is not None
 
     def partner_of(self, path: Path) -> Path | None:
@@ -1052,7 +1068,8 @@ class Profile(TextLayout, StepTime):
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of all settings that affect how a file is read. Layout and title of the TOML text have no influence.
+        """SHA-256 of all settings that affect how a file is read. The layout and the title of the TOML text have no
+        influence.
 
         Keys with their default are omitted, so that a new key does not change the hashes of profiles without it.
         """

@@ -51,7 +51,7 @@ def profile_toml(profile: Profile, remarks: Sequence[str] = (), folder: Path | N
 
 
 def _table(values: Mapping[str, Any], above: tuple[str, ...]) -> Iterator[str]:
-    """Yield the lines of a table. Its keys come first, followed by its subtables."""
+    """Yield the lines of a table: its keys, followed by its subtables."""
     tables = {key: value for key, value in values.items() if _is_table(value, above)}
     yield from (f"{_key(key)} = {toml_value(value)}" for key, value in values.items() if key not in tables)
     for key, value in tables.items():
@@ -64,7 +64,8 @@ def _table(values: Mapping[str, Any], above: tuple[str, ...]) -> Iterator[str]:
 
 
 def _is_table(value: object, above: tuple[str, ...]) -> bool:
-    """Return whether a value is written as a table. ``columns`` is a table whose entries are inline tables."""
+    """Return True if a value is written as a table. The entries of the table ``columns`` are written as inline
+    tables."""
     if isinstance(value, list):
         return bool(value) and all(isinstance(part, Mapping) for part in value)
     return isinstance(value, Mapping) and len(above) < 1 + (above[:1] == ("columns",))

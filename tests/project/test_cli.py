@@ -208,7 +208,7 @@ def test_a_plan_names_action_and_reason(call, logs):
         "skip (unchanged: size and modification time): logs/600.csv",
         f"skip (same content as {logs / '600.csv'}): logs/copy.csv",
         *(line for line in out.splitlines() if line.startswith("logs/bad.csv, row 17: command must be")),
-        "changed: logs/300.csv: its trials were replaced by those of the new content",
+        "changed: logs/300.csv: its trials were replaced by the trials of the new content",
     ]
     actions = {e["path"]: e["action"] for e in document(call("ingest", "logs", "--dry-run", "--json"), 3)["plan"]}
     assert actions["logs/bad.csv"] == "refuse"

@@ -37,7 +37,7 @@ def test_a_wrapped_counter_equals_one_that_goes_on(wrap, dtype):
 
 
 def test_a_counter_above_its_wrap_is_refused():
-    with pytest.raises(LogError, match=r"the counter is 65536; expected 0 to 65536.*where the counter restarts") as error:
+    with pytest.raises(LogError, match=r"counter is 65536; expected 0 to 65536.*where the counter restarts") as error:
         stamps([65535, 65536], kind="counter", wrap=65536)
     assert error.value.row == 11
 

@@ -124,7 +124,7 @@ def test_the_command_writes_page_and_document(logs, tmp_path):
     [
         ("run0.csv", (), "ends with .html"),
         ("folder.html", (), "is a folder"),
-        ("motor.html", ("--out", "motor.html"), "is also the device file"),
+        ("motor.html", ("--out", "motor.html"), "the device file of --out has the same name"),
     ],
 )
 def test_a_wrong_target_is_refused_before_the_work(logs, tmp_path, monkeypatch, report, more, words):

@@ -230,7 +230,7 @@ def test_a_copy_of_a_log_counts_once_and_is_named(tmp_path):
     assert (found["trials"], [Path(name).name for name in found["copies"]]) == (3, ["copy.csv"])
     assert found["parameters"] == alone["parameters"]
     shown = CliRunner().invoke(application("identify"), ["identify", str(tmp_path)])
-    assert "1 log with the same samples as another log counts once" in shown.output
+    assert "1 log with the same samples as another log counts only once" in shown.output
 
 
 def test_a_refused_log_among_others_is_named_once(tmp_path):

@@ -82,7 +82,7 @@ def test_walls_of_a_plain_difference_and_logs_without_walls_have_no_filter():
         (logs(velocity={"kind": "levant", "acceleration": 50.0}), "deviates from the wall law", True),
         (logs()[:1] + logs(velocity=DIFFERENCE)[:2] + logs(velocity=BUTTERWORTH)[:2], "the logs show different", True),
         (logs(damping=(0.0,) * 4), "damping of 0", False),
-        ([replace(log, header=replace(log.header, stiffness=2e3)) for log in logs()], "another wall", False),
+        ([replace(log, header=replace(log.header, stiffness=2e3)) for log in logs()], "a wall that differs", False),
         ([replace(log, header=replace(log.header, step=0.0)) for log in logs()], "no log has a step", False),
     ],
 )
