@@ -1,1 +1,1 @@
-"""Checks of a recorded log before it is used in a computation."""
+"""Checks of a recorded log, before the log is used in a computation."""

@@ -1,4 +1,4 @@
-"""Check one log for all faults of the recording, before it is used in a computation."""
+"""Check a log for all faults of the recording, before the log is used in a computation."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ CHECKS: tuple[Callable[[Samples], Finding | None], ...] = (
 """Checks of a log that contains motion, in the order in which their findings are shown."""
 
 SCREENED = {REPEATED_ROWS: repeated_rows, TRAVEL_STOP: travel_stop}
-"""Checks of a log for which the screen has excluded the findings of all other checks, in the same order."""
+"""Checks that remain for a log if the screen has excluded the findings of all other checks, in the same order."""
 
 
 def check_recording(samples: Samples) -> tuple[Finding, ...]:
@@ -56,7 +56,8 @@ def check_recording(samples: Samples) -> tuple[Finding, ...]:
 
 
 def check_recordings(logs: Sequence[Samples]) -> list[tuple[Finding, ...]]:
-    """Return the same findings as `check_recording` for each log. It is ten times as fast for hundreds of logs.
+    """Return the same findings as `check_recording` for each log. For hundreds of logs, this function is ten times as
+    fast.
 
     Parameters
     ----------

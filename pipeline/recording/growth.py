@@ -2,7 +2,8 @@
 
 Before an edge, a device is at rest or continues its motion along a parabola or with a decaying transient. A zero-phase
 filter spreads the response over the rows before the edge, where it grows as exp((k - edge)/tau). The start of a motion
-whose command was logged late looks similar. Both are compared with a decay from the first of these rows.
+whose command was logged late looks similar. Both kinds of growth are compared with a decay from the first of these
+rows.
 """
 
 from __future__ import annotations
@@ -20,16 +21,17 @@ TIME_CONSTANTS = (1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0)
 """Time constants of a growth [rows]. Faster filters spread a response only over one row before an edge."""
 
 MOST_AT_REST = 96
-"""Largest number of rows at rest before the first edge that are used. Over more rows, sensors drift."""
+"""Largest number of rows at rest before the first edge that are used, because sensors drift over more rows."""
 
 MOST_EDGES = 60
-"""Largest number of edges that are examined. Each edge costs time, and a dozen give a clear result."""
+"""Largest number of edges that are examined, because each edge takes time and a dozen edges give a clear result."""
 
 LARGE = 0.1
 """Smallest jump of a command, relative to the largest one, that is treated as an edge."""
 
 SETTLING = 16
-"""Number of rows after an edge in which its response begins. They are excluded from the window of the next edge."""
+"""Number of rows after an edge in which its response begins. These rows are excluded from the window of the next
+edge."""
 
 WINDOW = 5.0
 """Length of the window before an edge, in time constants."""
@@ -42,8 +44,7 @@ BEHIND = 64
 """Number of rows after an edge from which the acceleration due to the edge is estimated."""
 
 SINGULAR = 1e-10
-"""Threshold for the ratio of the energies of the two curves of a pair. Below it, the smaller energy is a rounding
-error."""
+"""Ratio of the energies of the two curves of a pair below which the smaller energy is a rounding error."""
 
 LATEST = 32
 """Largest delay in the estimate of the acceleration due to an edge [rows]."""
@@ -77,7 +78,8 @@ class Growth:
 
 
 def last_at_rest(samples: Samples, edge: int) -> int:
-    """Return the last row in which a device at rest must not have moved. It is the edge, or one row earlier if polled.
+    """Return the last row in which a device at rest must not have moved: the edge, or the row before it if rows are
+    polled.
 
     A controller reads the position before it sends a command, so a command in row k has no effect until row k + 1.
     Between two polled rows, the command may have changed and moved the device before the second row.
@@ -116,16 +118,16 @@ def growth_before_edges(samples: Samples) -> Growth | None:
 def acceleration(samples: Samples, edge: int) -> float:
     """Return the acceleration due to an edge, in the direction of its jump [position/row^2], or 0 if there is none.
 
-    It is estimated at the delay for which the command fits the rows after the edge best. The rest position is the
-    median over the first half of the rows before the edge, because a motion that begins too early affects only the
-    second half.
+    The acceleration is estimated at the delay for which the command fits the rows after the edge best. The rest
+    position is the median over the first half of the rows before the edge, because a motion that begins too early
+    affects only the second half.
     """
     first = max(edge - BEHIND, 0)
     x = samples.position[edge : edge + BEHIND] - middle(samples.position[first : max((first + edge) // 2, first + 1)])
     command = np.concatenate([np.zeros(LATEST), samples.command[edge : edge + BEHIND]])
     velocity = np.concatenate([[0.0], np.cumsum(command)])
     twice = np.concatenate([[0.0], np.cumsum(velocity[:-1] + 0.5 * command)])
-    driven = np.lib.stride_tricks.sliding_window_view(twice, len(x))[1 : LATEST + 1]  # the last column has no delay
+    driven = np.lib.stride_tricks.sliding_window_view(twice, len(x))[1 : LATEST + 1]  # the last column is for no delay
     power = np.einsum("ij,ij->i", driven, driven)
     product = driven @ x
     explained = np.divide(product * product, power, out=np.zeros(LATEST), where=power > 0)
@@ -134,12 +136,12 @@ def acceleration(samples: Samples, edge: int) -> float:
 
 
 _Window = tuple[Floats, float, int]
-"""Positions up to an edge, its jump relative to the largest one, and polynomial degree of the motion without the
-edge."""
+"""Positions up to an edge, jump of the edge relative to the largest jump, and polynomial degree of the motion without
+the edge."""
 
 
 def _windows(samples: Samples, edges: list[int], time_constant: float) -> Iterator[_Window]:
-    """Yield the windows before the edges that have enough rows after the previous edge."""
+    """Yield the windows before edges, if they have enough rows after the previous edge."""
     rows = int(min(max(WINDOW * time_constant, FEWEST), MOST))
     largest = float(np.abs(samples.jumps).max())
     before = -SETTLING
@@ -152,7 +154,7 @@ def _windows(samples: Samples, edges: list[int], time_constant: float) -> Iterat
 
 
 def _compared(windows: list[_Window], growth: float, decays: Sequence[float], turning: bool) -> Growth | None:
-    """Compare growth with a given time constant and the best of several decays, over all windows."""
+    """Compare growth with a given time constant with the best of several decays, over all windows."""
     curves_of_each = 2 if turning else 1
     total, freedom = 0.0, 0
     product = np.zeros((1 + len(decays), curves_of_each))

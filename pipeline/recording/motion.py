@@ -1,8 +1,8 @@
 """Estimate the response of a free device to its commands by linear regression, for positive and negative delays.
 
-A mass m with damping b and spring k responds to a command u after a delay d. Integrated twice, its motion obeys
-m x + b I(x) + k I(I(x)) + c I(I(sign v)) = I(I(u(t - d))) plus a polynomial of the initial state. This equation is
-linear in all parameters except d.
+A mass m with damping b and spring k responds to a command u after a delay d. After double integration, the equation of
+motion is m x + b I(x) + k I(I(x)) + c I(I(sign v)) = I(I(u(t - d))) plus a polynomial of the initial state. This
+equation is linear in all parameters except d.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from pipeline.recording.samples import Samples
 from pipeline.records.trials import Floats
 
 BLOCK = 512
-"""Number of rows of a block, which has a separate initial state. Over more rows, friction and other unmodelled forces
-accumulate."""
+"""Number of rows of a block. Each block has a separate initial state, because friction and other unmodelled forces
+accumulate over more rows."""
 
 MOST_ROWS = 4096
 """Largest number of rows that are used, from shortly before the first change of the command."""
@@ -32,19 +32,18 @@ AT_NOISE = 3.0
 """Largest rms residual, in standard deviations of the noise, for which a model explains a log."""
 
 ARITHMETIC = 1e-9
-"""Threshold for the residual relative to the motion. Below it, only rounding errors remain after a fit of a polynomial
-and friction."""
+"""Residual, relative to the motion, below which only rounding errors remain after a fit of a polynomial and
+friction."""
 
 BY_COMMAND = 4.0
-"""Threshold for the ratio of the residuals without and with the command. Above it, the motion is attributed to the
-command."""
+"""Ratio of the residuals without and with the command above which the motion is attributed to the command."""
 
 LIKELY_SHIFT = 40
-"""Largest absolute delay at which the signs of the gain are compared [rows]. At longer delays, a command may repeat
-itself."""
+"""Largest absolute delay at which the two signs of the gain are compared [rows]. At longer delays, a periodic command
+may match itself."""
 
 BETWEEN = 4.0
-"""Largest ratio of the residuals for both signs of the gain on the delay grid for which both are refined."""
+"""Largest ratio of the residuals for the two signs of the gain on the delay grid for which both are refined."""
 
 _DEGREE = 2
 
@@ -56,16 +55,16 @@ class FreeResponse:
     Parameters
     ----------
     delay : float
-        Delay of the best fit [rows]. It is negative if the position leads the command.
+        Delay of the best fit [rows]. Negative if the position leads the command.
     gain : float
-        Acceleration per unit of command [position/row^2]. It is negative if the signs differ.
+        Acceleration per unit of command [position/row^2]. Negative if the signs differ.
     residual : float
         Root mean square of the residual of the best fit.
     residual_causal : float
         Root mean square of the residual for the best non-negative delay.
     residual_with, residual_against : float
-        Root mean square of the residual if the gain must be positive or must be negative. The best delay of at most
-        `LIKELY_SHIFT` rows, with either sign, is used. It is infinite if no delay gives such a gain.
+        Root mean square of the residual if the gain must be positive or must be negative, for the best delay of at most
+        `LIKELY_SHIFT` rows with either sign. It is infinite if no delay gives such a gain.
     residual_undriven : float
         Root mean square of the residual without a command, i.e. for a motion due to its initial state only.
     largest_jump : float
@@ -91,18 +90,19 @@ class FreeResponse:
 
     @property
     def is_at_noise(self) -> bool:
-        """Whether only noise remains, so that the regression models all parts of the device."""
+        """True if only noise remains, so that the regression models all parts of the device."""
         return self.residual <= AT_NOISE * self.noise
 
     @property
     def is_driven(self) -> bool:
-        """Whether the command causes the motion."""
+        """True if the command causes the motion."""
         return self.residual_undriven > BY_COMMAND * self.residual > ARITHMETIC * self.motion
 
 
 @lru_cache(maxsize=4)
 def free_response(samples: Samples) -> FreeResponse | None:
-    """Return the response of the position to the command, or None with a wall, a constant command, or few rows.
+    """Return the response of the position to the command, or None for a log with a wall, a constant command, or too few
+    rows.
 
     Notes
     -----
@@ -118,7 +118,9 @@ def free_response(samples: Samples) -> FreeResponse | None:
     gain = float(fit.residuals(np.array([best[0]]))[1][0])
     likely = np.abs(coarse) <= LIKELY_SHIFT
     by_sign = [float(left[likely & (sign * signs > 0)].min(initial=np.inf)) for sign in (1, -1)]
-    if by_sign[1] < BETWEEN * by_sign[0]:  # between the delays of the grid, either sign of the gain may be better
+    if (
+        by_sign[1] < BETWEEN * by_sign[0]
+    ):  # between the delays of the grid, either sign of the gain may have the smaller residual
         for place, sign in enumerate((1, -1)):
             own = likely & (sign * signs > 0)
             by_sign[place] = _refined(fit, coarse[own], left[own], -reach, sign)[1] if own.any() else np.inf
@@ -151,7 +153,7 @@ def _prepared(samples: Samples) -> _Regression | None:
 
 
 def _refined(fit: _Regression, shifts: Floats, left: Floats, least: float, sign: int = 0) -> tuple[float, float]:
-    """Return the delay with the smallest residual, to a sixtieth of a row, and its residual.
+    """Return the delay with the smallest residual, accurate to a sixtieth of a row, and its residual.
 
     The delay is at least ``least``. With a ``sign``, only delays at which the gain has this sign are used.
     """
@@ -169,7 +171,8 @@ def _refined(fit: _Regression, shifts: Floats, left: Floats, least: float, sign:
 
 @dataclass(frozen=True, eq=False)
 class _Regression:
-    """Regression of a motion in blocks on the integrals of its command, without start, damping, spring and friction.
+    """Regression of a motion, divided into blocks, on the integrals of its command, after removal of initial state,
+    damping, spring and friction.
 
     ``position`` and ``basis`` (count, numbers) are projected onto the complement of the polynomials of each block.
     """
@@ -209,9 +212,10 @@ class _Regression:
         return cls(left, basis, polynomial, index, velocity, double, u, size, reach)
 
     def _driven(self, at: Floats) -> Floats:
-        """Return the twice integrated command at rows (delays, blocks, rows), shape (delays, rows).
+        """Integrate the command twice, and return it at the fractional rows ``at``, shape (delays, blocks, rows). The
+        result has the shape (delays, blocks * rows).
 
-        The part that initial position and velocity explain is removed.
+        The part due to the initial position and velocity is removed.
         """
         k = np.clip(np.floor(at).astype(np.int64), 0, len(self.command) - 1)
         part = at - k
@@ -225,7 +229,7 @@ class _Regression:
         return len(self.position)
 
     def residuals(self, shifts: Floats) -> tuple[Floats, Floats]:
-        """Return the rms residual and the gain for each delay. Both have the shape of ``shifts``."""
+        """Return the rms residual and the gain for each delay, both with the shape of ``shifts``."""
         driven = self._driven(self.index[None] - shifts[:, None, None])
         driven -= (driven @ self.basis) @ self.basis.T
         power = np.einsum("ij,ij->i", driven, driven)

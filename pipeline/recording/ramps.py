@@ -1,9 +1,9 @@
-"""Decide whether ramps of a command between grid rows were sent as ramps or result from interpolated steps.
+"""Decide whether ramps of a command between grid rows were sent as ramps, or result from the interpolation of steps.
 
-A step at time t moves a free device with the lag tau by the acceleration times z^2/2 - tau z + tau^2 (1 - exp(-z/tau)),
-with z = k - t, from t on. A ramp of n rows with a zero-order hold is the mean of n such steps. Both models are compared
-around each ramp. A cubic in time and friction model all other motion. Ramps that the controller sent share one delay. A
-step inside an interpolated ramp has a separate delay.
+After a step at time t, the displacement of a free device with the lag tau is the acceleration times z^2/2 - tau z +
+tau^2 (1 - exp(-z/tau)), with z = k - t. A ramp of n rows with a zero-order hold is the mean of n such steps. Both
+models are compared around each ramp. A cubic in time and friction model all other motion. Ramps that the controller
+sent share one delay. A step inside an interpolated ramp has a separate delay.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ KINK = 1e-3
 """Smallest change of the slope of a command that counts as a kink, relative to its largest change per row."""
 
 OWN_STEPS = 1.25
-"""Threshold for the ratio of the residuals for an interpolated command and for a zero-order hold. Above it, steps were
-sent."""
+"""Ratio of the residuals for an interpolated command and for a zero-order hold above which the command is treated as
+steps."""
 
 SAME_DELAY = 2.5
-"""Threshold for the ratio of these residuals. Above it, steps were sent if the ramps span one grid interval. This
-threshold is larger because interpolated steps on the grid have a common delay, like real ramps."""
+"""The same threshold for ramps that span one grid interval. It is larger because interpolated steps on the grid have a
+common delay, like real ramps."""
 
 MOST_RAMPS = 40
 """Largest number of ramps of a command that are examined individually."""
 
 AROUND = (10, 32)
-"""Smallest and largest number of rows before and after a ramp that are used. They contain no other ramp."""
+"""Smallest and largest number of rows before and after a ramp that are used. These rows contain no other ramp."""
 
 LAGS = (0.0, 1.0, 2.0, 4.0, 8.0)
 """Lags of a device in the search [rows]."""
@@ -42,15 +42,15 @@ LATEST = 16
 """Largest delay of a device in the search [rows]."""
 
 LIKELIER = (-15.0, 20.0)
-"""Limits of the log-likelihood ratio of steps to ramps. Up to the first limit, the command is a ramp; from the second
-limit on, it consists of steps."""
+"""Limits of the log-likelihood ratio of steps to ramps. Up to the first limit, the command is treated as ramps. From
+the second limit on, it is treated as steps."""
 
 BETTER = 2.0
-"""Threshold for the ratio of the residual sums of squares for ramps with one delay and for steps. Above it, steps were
-sent."""
+"""Ratio of the residual sums of squares for ramps with one delay and for steps above which the command is treated as
+steps."""
 
 OTHER_DELAYS = 8.0
-"""Ratio of the residual sums of squares for ramps with one delay and for steps. Above it, ramps are in doubt even if
+"""Ratio of the residual sums of squares for ramps with one delay and for steps above which ramps are in doubt, even if
 their shapes fit better, because their delays match steps on the grid."""
 
 ITERATIONS = 6
@@ -68,7 +68,7 @@ class RampFit:
     score : float
         Log-likelihood ratio for white noise, with a separate gain and delay for each step and each ramp.
     ratio : float
-        Ratio of the residual sums of squares of ramps with a common gain and delay and of steps with a common gain.
+        Ratio of the residual sum of squares of ramps with a common gain and delay to that of steps with a common gain.
     """
 
     score: float
@@ -76,17 +76,18 @@ class RampFit:
 
     @property
     def is_sent(self) -> bool:
-        """Whether the command was sent as ramps."""
+        """True if the command was sent as ramps."""
         return self.score <= LIKELIER[0] and self.ratio < OTHER_DELAYS
 
     @property
     def is_step(self) -> bool:
-        """Whether the command was sent as steps."""
+        """True if the command was sent as steps."""
         return self.score >= LIKELIER[1] and self.ratio >= BETTER
 
 
 def interpolated_command(samples: Samples) -> Finding | None:
-    """Return a finding if the command is interpolated linearly between fewer values and steps explain the motion.
+    """Return a finding if the logged command interpolates a coarser command linearly, and a command in steps explains
+    the motion better.
 
     A command that was sampled in every n-th row and interpolated linearly has kinks n rows apart. A command that is
     intended as a ramp explains the motion as logged. If noise hides the difference, the finding is a note.
@@ -115,19 +116,22 @@ def interpolated_command(samples: Samples) -> Finding | None:
         has_grid = False
     if not (is_step or has_grid):
         return None
-    lines = f"The command lies on straight lines between every {ordinal(factor)} row, and"
+    lines = f"The command is on straight lines between every {ordinal(factor)} row, and"
     if is_step:
         return samples.finding(
             "interpolated_rows",
             "unsafe",
-            f"{lines} steps inside them explain the motion better: it was interpolated, and begins before its steps.",
+            f"{lines} steps within these lines explain the motion better. The command was interpolated, so it begins "
+            "before its steps.",
             "Export the command as it was sent (as steps, not interpolated), at the rate of the controller.",
         )
     return samples.finding(
         "interpolated_rows",
         "note",
-        f"{lines} the motion does not show whether it was sent like this: a delay is uncertain by {factor} rows.",
-        "Export the command as it was sent (as steps, not interpolated). An intended ramp is correct.",
+        f"{lines} the motion does not show whether the command was sent in this form, so a delay is uncertain by "
+        f"{factor} rows.",
+        "If the command was sent in steps, export it in steps, without interpolation. If ramps were intended, the log "
+        "is correct.",
     )
 
 
@@ -187,9 +191,9 @@ def _ramps(k: Floats, times: Floats, rows: int, lag: float) -> Floats:
 def _projected(
     samples: Samples, starts: Integers, jumps: Floats, k: Floats, curves: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return products of curves and motion and energies (curves, ramps), and the energy of the motion (ramps,).
-
-    A polynomial and the motion due to Coulomb friction are removed from all of them by projection.
+    """Return the products of curves and motion and the energies of the curves, shape (curves, ramps), and the energy of
+    the motion, shape (ramps,). A polynomial and the motion due to Coulomb friction are removed from curves and motion
+    by projection.
     """
     polynomial = np.polynomial.legendre.legvander(2 * (k - k[0]) / (k[-1] - k[0]) - 1, _DEGREE)
     products, powers = np.empty((curves.shape[1], len(starts))), np.empty((curves.shape[1], len(starts)))
@@ -234,7 +238,7 @@ def _alone(products: Floats, powers: Floats, sizes: Floats) -> float:
 
 
 def _was_held(samples: Samples, first: int, factor: int, better: float) -> bool:
-    """Return True if a zero-order hold of every n-th command leaves a far smaller residual than interpolation."""
+    """Return True if the residual for a zero-order hold of every n-th command is far smaller than for interpolation."""
     logged = free_response(samples)
     if logged is None or logged.is_at_noise:
         return False

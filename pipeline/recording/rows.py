@@ -1,4 +1,4 @@
-"""Find rows that are not readings, namely repeated rows, a frozen position, and interpolated positions."""
+"""Find rows that are not readings: repeated rows, a frozen position, and interpolated positions."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ CLEAR = 8.0
 """Smallest position change before and after a repeated row, in standard deviations of a reading."""
 
 NOISY = 3.0
-"""Threshold for the standard deviation of the noise, in sensor steps. Above it, equal consecutive readings are not
-attributed to chance."""
+"""Standard deviation of the noise, in sensor steps, above which equal consecutive readings are not attributed to
+chance."""
 
 RARE = 0.15
 """Largest share of equal consecutive readings for noise of this size."""
@@ -29,8 +29,8 @@ MADE_UP = 1.3
 because the change after the repetition covers two rows."""
 
 JUMPS = 5.0
-"""Threshold for the change after frozen rows. It is relative to both the typical nearby change and the last change
-before the frozen rows."""
+"""Threshold for the change after frozen rows, relative to the typical nearby change and to the last change before the
+frozen rows."""
 
 FEWEST = 3
 """Smallest number of repeated rows that is not attributed to a reversal of the motion."""
@@ -39,33 +39,34 @@ FROZEN = 10
 """Smallest number of constant rows for which a position counts as frozen."""
 
 FEWEST_KNOTS = 4
-"""Smallest number of kinks of a position or command from which a grid of fewer readings is inferred."""
+"""Smallest number of kinks of a position or command from which a coarser grid of readings is inferred."""
 
 NO_CHANCE = 7.0
-"""Threshold for the logarithm of the number of possible arrangements of kinks. Only one arrangement is a grid, so above
-the threshold a grid is not attributed to chance."""
+"""Logarithm of the number of possible arrangements of kinks above which a grid is not attributed to chance, because
+only one of the arrangements is a grid."""
 
 STRAIGHT = 0.4
-"""Threshold for the share of collinear rows among the moving rows. Above it, a position counts as interpolated."""
+"""Share of collinear rows among the moving rows above which a position counts as interpolated."""
 
 MOVING = 2.0
-"""Threshold for the change per row, in units of the smallest kink. Above it, the position moves."""
+"""Change per row, in units of the smallest kink, above which the position counts as moving."""
 
 NEARLY_STRAIGHT = 0.02
-"""Threshold for the second difference, relative to the change. Below it, rows may be collinear."""
+"""Second difference, relative to the change, below which rows may be collinear."""
 
 BEND = 1e-6
 """Largest second difference, relative to the largest change, for which three rows are collinear."""
 
 EXACT = 1e-9
-"""Limit of the same ratio for rows that were interpolated and printed with all digits."""
+"""Largest second difference, relative to the largest change, for rows that were interpolated and printed with all
+digits."""
 
 
 def repeated_rows(samples: Samples) -> Finding | None:
     """Return a finding with the rows that repeat the previous reading while the device moves.
 
-    If the noise exceeds the sensor step, equal consecutive readings are copies of one reading. Otherwise, a position
-    that moves by several steps per row does not rest for one row and catch up in the next row.
+    If the noise exceeds the sensor step, equal consecutive readings are copies of one reading. Otherwise, the reason is
+    that a position which moves by several steps per row cannot rest for one row and catch up in the next row.
     """
     if samples.resting < FEWEST:
         return None
@@ -91,7 +92,7 @@ def repeated_rows(samples: Samples) -> Finding | None:
     return samples.finding(
         "repeated_rows",
         "note",
-        f"{len(rows)} of {len(samples)} {what} repeat the previous one while the device moves; the first is row "
+        f"{len(rows)} of {len(samples)} {what} repeat the previous one while the device moves. The first is row "
         f"{rows[0]}.",
         "Read the sensor in every sample, or log at the rate at which the sensor is read.",
         first_row=int(rows[0]),
@@ -100,7 +101,7 @@ def repeated_rows(samples: Samples) -> Finding | None:
 
 
 def frozen_position(samples: Samples) -> Finding | None:
-    """Return a finding if the position is constant and then jumps further than any force could move it."""
+    """Return a finding if the position is constant and then jumps further than any force could move the device."""
     if samples.resting < FROZEN or samples.pauses.max(initial=0) < FROZEN:
         return None
     size, least = samples.size, MOVES * samples.least_change
@@ -123,7 +124,7 @@ def frozen_position(samples: Samples) -> Finding | None:
 
 
 def interpolated_position(samples: Samples) -> Finding | None:
-    """Return a finding if most positions are interpolated linearly between fewer readings, i.e. if the sensor rate is
+    """Return a finding if most positions are interpolated linearly between fewer readings, because the sensor rate is
     lower.
 
     All kinks of the position are then on a grid of every n-th row. The probability of this by chance is n^-(kinks - 1).
@@ -141,9 +142,9 @@ def interpolated_position(samples: Samples) -> Finding | None:
     return samples.finding(
         "interpolated_rows",
         "unsafe",
-        f"The positions lie on straight lines between every {ordinal(factor)} row: the other positions are "
-        "interpolated, and move before their commands.",
-        "Export the position without interpolation, or at the rate at which it was read.",
+        f"The positions are on straight lines between every {ordinal(factor)} row, so the positions between these rows "
+        "are interpolated, and move before their commands.",
+        "Export the position without interpolation, or at the rate at which the sensor was read.",
         rows=rows,
     )
 

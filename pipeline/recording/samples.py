@@ -1,4 +1,4 @@
-"""Samples of a log with the conditions of the trial, and quantities that several checks use."""
+"""Samples of a log with the conditions of the trial, and quantities that are used by several checks."""
 
 from __future__ import annotations
 
@@ -33,22 +33,23 @@ SMALLEST_STEP = 1e-9
 errors."""
 
 LAW_RESIDUAL = 0.02
-"""Largest residual, relative to the changes of the command, for which a command matches the stated wall law. It
-includes rounding and sensor errors."""
+"""Largest residual, relative to the changes of the command, for which a command matches the stated wall law. It allows
+for rounding and sensor errors."""
 
 MOST_DECIMALS = 12
 """Largest number of decimals for which the last printed digit of a position can be detected."""
 
 ON_DIGIT = 1e-4
-"""Tolerance for an integer number of digits, in digits. It allows for errors of a unit conversion."""
+"""Tolerance for an integer number of digits, in digits, which allows for errors of a unit conversion."""
 
 QUIET = 0.15
-"""Limit on the command of a wall before the step, and on its deviation from the step in the first row of the step. Both
-are relative to the step."""
+"""Limit on the command of a wall before the step, and on its deviation from the step in the first row of the step,
+relative to the step."""
 
 
 def middle(values: Floats) -> float:
-    """Return the median of at least one value. For an even number, it is the larger one of the two middle values."""
+    """Return the median of at least one value. For an even number of values, this is the larger one of the two middle
+    values."""
     place = len(values) // 2
     return float(np.partition(values, place)[place])
 
@@ -61,7 +62,7 @@ def last_digit(position: Floats) -> float:
     """
     digit = 0.0
     largest = np.abs(position).max(initial=0.0)
-    # values that are not on a fine grid are not on any coarser one
+    # values that are not on a fine grid are not on any coarser grid
     for decimals in range(MOST_DECIMALS, 0, -1):
         scaled = position * 10.0**decimals
         off = np.abs(scaled - np.rint(scaled)).max(initial=0.0)
@@ -72,8 +73,8 @@ def last_digit(position: Floats) -> float:
 
 
 UNEVEN, MOST_UNEVEN = 0.05, 0.1
-"""Relative deviation of a time step from the median, and share of such steps, above which rows are polled. A command
-may then have changed at any time between two rows."""
+"""Relative deviation of a time step from the median, and share of larger deviations, above which rows are treated as
+polled. A command may then have changed at any time between two rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,12 +168,13 @@ class Samples:
 
     @cached_property
     def pauses(self) -> Integers:
-        """Number of constant rows after each change except the last one. It has one element fewer than ``moves``."""
+        """Number of constant rows after each change except the last one. The array has one element fewer than
+        ``moves``."""
         return np.asarray(self.moves[1:] - self.moves[:-1] - 1)
 
     @property
     def is_free(self) -> bool:
-        """Whether there is no wall, so that the command does not depend on the position."""
+        """True if there is no wall, so that the command does not depend on the position."""
         return self.stiffness == 0.0 and self.damping == 0.0
 
     def finding(
@@ -195,7 +197,7 @@ class Samples:
 
     @cached_property
     def is_even(self) -> bool:
-        """Whether nearly all rows are equally spaced in time, as for a controller."""
+        """True if nearly all rows are equally spaced in time, as for a controller."""
         usual = middle(self.steps)
         return float(np.mean(np.abs(self.steps - usual) > UNEVEN * usual)) <= MOST_UNEVEN
 
@@ -223,7 +225,7 @@ class Samples:
         return max(of_readings, steps)
 
     def is_noisier_than(self, size: float) -> bool:
-        """Return whether the noise in third differences exceeds a size, without computing their median."""
+        """Return True if the noise in third differences exceeds a size. Their median is not computed."""
         above = int(np.count_nonzero(self.third > size * THIRD_MEDIAN))
         return above >= len(self.third) - len(self.third) // 2 > 0
 
@@ -246,8 +248,7 @@ class Samples:
         return sqrt(max(float(rest @ rest) - largest * largest, 0.0) / len(rest))
 
     def wall_residuals(self, most: int) -> Floats:
-        """Return the residual of the stated wall for commands that are 0, 1, ... or ``most`` rows late, shape (most +
-        1,)."""
+        """Return the residual of the stated wall for commands that are 0 to ``most`` rows late, shape (most + 1,)."""
         count = len(self.jumps)
         rest = self._late_jumps(most) + self.wall_steps
         for late in range(1, most + 1):  # rows after the end of the log
@@ -272,7 +273,7 @@ class Samples:
 
     @cached_property
     def obeys_wall(self) -> bool:
-        """Whether the command matches the stated wall for the position of its row. The controller then used this
+        """True if the command matches the stated wall for the position of its row. The controller then used this
         reading."""
         if self.is_free:
             return False
@@ -281,7 +282,7 @@ class Samples:
 
     @cached_property
     def obeys_reversed_wall(self) -> bool:
-        """Whether the command matches the stated wall for the position of its row if one sign is reversed."""
+        """True if the command matches the stated wall for the position of its row after reversal of one sign."""
         if self.is_free:
             return False
         force = self.wall_steps
@@ -289,7 +290,8 @@ class Samples:
 
     @cached_property
     def wall_edge(self) -> int:
-        """Row in which the command of a wall steps from about 0 by about the stated step, or 0 if it does not."""
+        """Row in which the command of a wall steps from about 0 by about the stated step, or 0 if there is no such
+        row."""
         if self.step_row is not None and self.step_row > 0:
             return self.step_row
         if self.step == 0:

@@ -1,8 +1,7 @@
 """Screen many logs in machine code.
 
-A single pass over the rows finds the logs that obey their wall and have no fault.
-
-A log that passes this screen has no findings. Each condition is necessary for a finding of some check (`check`).
+A single pass over the rows identifies the logs whose command follows their wall and that have no fault. A log that
+passes this screen has no findings. Each condition is necessary for a finding of some check (`check`).
 """
 
 from __future__ import annotations
@@ -17,9 +16,8 @@ from pipeline.recording.samples import LAW_RESIDUAL, SMALLEST_STEP, THIRD_MEDIAN
 from pipeline.records.trials import Floats, Integers
 
 NOTHING, REPEATED_ROWS, TRAVEL_STOP, ANYTHING = 0, 1, 2, 4
-"""Codes of the possible findings of a log.
-
-They denote no finding, repeated rows, a travel stop (or the sum of the last two), or any finding.
+"""Codes of the possible findings of a log: no finding, repeated rows, a travel stop (or the sum of the last two), or
+any finding.
 """
 
 _LIMITS = np.array(
@@ -30,12 +28,12 @@ _LIMITS = np.array(
         *(travel.HARDER, travel.STILL[0], travel.STILL[1] / THIRD_MEDIAN, travel.STILL[2]),
     ]
 )
-"""Limits of the checks in the order in which `_found_in` reads them. They are passed as arguments because compiled code
-would contain fixed copies of constants."""
+"""Limits of the checks, in the order in which `_found_in` reads them. They are passed as arguments, because compiled
+code would contain fixed copies of constants."""
 
 
 def screened(logs: Sequence[Samples]) -> list[int]:
-    """Return whether each log may have no finding, only repeated rows or a travel stop, or any finding.
+    """Return the code of the possible findings of each log: none, only repeated rows or a travel stop, or any finding.
 
     Parameters
     ----------

@@ -12,21 +12,21 @@ FEWEST_ROWS = 8
 """Smallest number of rows at which a device model has more equations than parameters."""
 
 COARSE = 0.05
-"""Threshold for the sensor step, relative to the range of the position. Above it, the sensor is coarse."""
+"""Sensor step, relative to the range of the position, above which the sensor is called coarse."""
 
 CLEAR = 8.0
 """Smallest displacement of a clear first motion, in noise standard deviations and in sensor steps."""
 
 OTHER_SIGN = 2.5
-"""Threshold for the ratio of the residuals with the logged and with the opposite sign. Above it, the opposite sign is
-correct."""
+"""Ratio of the residuals with the logged and with the opposite sign above which the opposite sign is correct."""
 
 DRIVEN = 3.0
-"""Threshold for the ratio of the residuals without and with a reversed command. Above it, the motion is a response to
-the command."""
+"""Ratio of the residuals without a command and with a reversed command above which the motion is a response to the
+command."""
 
 AS_GOOD = 1.3
-"""Largest ratio of the residuals for the best likely delay with a reversed sign and for the best of all delays."""
+"""Largest ratio of the residual for the best plausible delay with a reversed sign to the residual for the best of all
+delays."""
 
 BASELINE = 5
 """Smallest number of rows at rest before a step for an estimate of the noise."""
@@ -39,7 +39,7 @@ def unusable_signal(samples: Samples) -> Finding | None:
         return samples.finding(
             "too_few_rows",
             "unusable",
-            f"The log has {rows} rows; a model requires at least {FEWEST_ROWS}.",
+            f"The log has {rows} rows, but a model requires at least {FEWEST_ROWS}.",
             "Record longer logs.",
         )
     if samples.range == 0:
@@ -65,23 +65,27 @@ def same_samples(rows: int, other: str) -> Finding:
         code="same_samples",
         first_row=None,
         rows=rows,
-        evidence=f"All samples equal those of {other}: a copy under another name or header, or a simulation without "
-        "noise.",
-        remedy="Remove the wrong log, since two copies count twice.",
+        evidence=(
+            f"All samples equal those of {other}, so one is a copy with a different name or header, or both are "
+            "simulations without noise."
+        ),
+        remedy="Remove the wrong log, because two copies count twice.",
         severity="note",
     )
 
 
 def coarse_sensor(samples: Samples) -> Finding | None:
-    """Return a finding if the resolution of the sensor is a large share of the motion, i.e. few values are distinct."""
-    # readings of a fine sensor differ, but readings of a coarse one repeat, since its range has few steps
+    """Return a finding if the resolution of the sensor is a large share of the motion, so that few values are
+    distinct."""
+    # The readings of a coarse sensor repeat, because the range of the position has few steps.
     if samples.least_change <= COARSE * samples.range:
         return None
     values = 1 + np.count_nonzero(np.diff(np.sort(np.round(samples.position / samples.least_change * 64))))
     return samples.finding(
         "coarse_sensor",
         "note",
-        f"The position takes {values} values in a range of {samples.range:.4g}, {samples.least_change:.4g} apart.",
+        f"The position has only {values} distinct values in a range of {samples.range:.4g}, at a distance of "
+        f"{samples.least_change:.4g}.",
         "Record larger steps, or use a finer sensor.",
     )
 
@@ -99,18 +103,20 @@ def wrong_sign(samples: Samples) -> Finding | None:
         response = free_response(samples)
         if response is None or response.residual_undriven <= DRIVEN * response.residual_against:
             return None
-        # for a motion without noise, only rounding errors of the sums remain
+        # for a motion without noise, the residual consists only of rounding errors of the sums
         rounding = ARITHMETIC * response.motion
         if response.residual_with <= max(OTHER_SIGN * response.residual_against, rounding):
             return None
         if response.residual_against > AS_GOOD * response.residual:
             return None
-        evidence = "The position moves against its command: its acceleration has the opposite sign in the whole log."
+        evidence = (
+            "The position moves against its command, because its acceleration has the opposite sign in the whole log."
+        )
     elif samples.obeys_reversed_wall:
         jump = samples.jumps - samples.wall_steps
         towards = float(jump[np.abs(jump).argmax()] * samples.step)
         column = "position" if towards > 0 else "command" if towards < 0 else "command or position"
-        evidence = f"The command obeys the wall with the opposite sign: the sign of the {column} is reversed."
+        evidence = f"The command follows the wall with the opposite sign, so the sign of the {column} is reversed."
         remedy = f"Change the `sign` of the {column} in the profile."
     else:
         row = _first_motion_against(samples)

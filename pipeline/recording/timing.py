@@ -15,8 +15,8 @@ EVEN = 0.01
 period by 1 % changes the mass by 2 %."""
 
 SURE = 4.0
-"""Threshold for the difference between the median time step and the stated period, in standard errors. Above it, one of
-the two is wrong (by chance in 6e-5 of the logs)."""
+"""Difference between the median time step and the stated period, in standard errors, above which one of the two is
+wrong. By chance, it is exceeded in 6e-5 of the logs."""
 
 MISSING = 1.5
 """Smallest time step, in periods, that indicates missing rows, because it rounds to 2 or more."""
@@ -25,8 +25,8 @@ MISSING = 1.5
 def other_period(time: Floats, period: float) -> float | None:
     """Return the median time step if it differs from the stated sampling period [s], otherwise None.
 
-    Both the median and the mean must differ. Lost rows change only the mean. Time stamps with few digits change only
-    the median.
+    Both the median and the mean must differ from the period, because lost rows change only the mean, and time stamps
+    with few digits change only the median.
 
     Parameters
     ----------
@@ -49,8 +49,8 @@ def other_period(time: Floats, period: float) -> float | None:
 def sampling_period(samples: Samples) -> Finding | None:
     """Return a finding if the time stamps contradict the stated sampling period.
 
-    With a wall, the command shows which period the controller used. If the controller used the stated period, the time
-    stamps are wrong.
+    With a wall, the period that the controller used follows from the command. If the controller used the stated period,
+    the time stamps are wrong.
     """
     period = samples.period
     usual = other_period(samples.time, period)
@@ -71,15 +71,15 @@ def sampling_period(samples: Samples) -> Finding | None:
         return samples.finding(
             "sampling_period",
             "note",
-            f"{evidence}{times}, and the command obeys the stated period.",
+            f"{evidence}{times}, and the command follows the stated period.",
             "Correct the unit of the time stamps in the profile.",
         )
     return samples.finding(
         "sampling_period",
         "unsafe",
         f"{evidence}{times}.",
-        f"State {usual:.4g} s (sampling_period_s) if the controller runs at the rate of the rows. Correct the unit "
-        "of the time stamps if they are wrong. Record every sample if rows were left out.",
+        f"If the controller runs at the rate of the rows, state {usual:.4g} s (sampling_period_s). If the time stamps "
+        "are wrong, correct their unit. If rows were left out, record every sample.",
     )
 
 
@@ -105,7 +105,7 @@ def missing_rows(samples: Samples) -> Finding | None:
         "note",
         f"According to the time stamps, {lost} of {len(samples) + lost} rows are missing. The first gap is after row "
         f"{gaps[0]}, and the longest gap has {longest} rows.",
-        "Record without lost rows: use a faster disk, a larger buffer or a lower rate.",
+        "Record without losing rows: use a faster disk, a larger buffer or a lower rate.",
         first_row=int(gaps[0]),
         rows=lost,
     )

@@ -9,7 +9,8 @@ from pipeline.records.findings import Finding
 from pipeline.records.trials import Booleans
 
 AT_EXTREME = 0.02
-"""Distance from the largest or smallest position, relative to the range, within which rows are at the extreme."""
+"""Distance from the largest or smallest position, relative to the range, within which rows count as being at the
+extreme."""
 
 IMPACT, BRAKE = 3.0, 6.0
 """Smallest ratios of the velocity change at a stop to the largest velocity change per row before it and after it. One
@@ -26,10 +27,10 @@ STAYS = 12
 
 HARDER = 1.4
 """Smallest velocity change at a stop, relative to the largest velocity change over the same number of rows away from
-the extremes. Commands and friction may also stop a device, as abruptly as they move it elsewhere."""
+the extremes. Commands and friction may also stop a device, but no more abruptly than they move it elsewhere."""
 
 SLOWER = 1.5
-"""Smallest ratio of the speeds before and after a stop. A free motion reverses with equal speeds."""
+"""Smallest ratio of the speeds before and after a stop. A free motion reverses with equal speeds before and after."""
 
 FAST = 0.05
 """Smallest speed at a stop, relative to the largest speed."""
@@ -38,16 +39,16 @@ STEPS = 8.0
 """Smallest change of the velocity at a stop, in sensor steps per row."""
 
 STILL = (1.2, 4.0, 0.02)
-"""Distance from a stop within which the position counts as resting there. It is given in sensor steps, in standard
-deviations of the noise, and in rows at the speed before the stop."""
+"""Distance from a stop within which the position counts as resting at the stop: in sensor steps, in standard deviations
+of the noise, and in rows at the speed before the stop."""
 
 
 def travel_stop(samples: Samples) -> Finding | None:
     """Return a finding with the row from which a travel stop affects the motion.
 
     At a travel stop, the velocity changes within two rows by more than command and friction change it elsewhere. This
-    happens at the largest or the smallest position of the log. Afterwards, the device stays there or leaves more slowly
-    than it arrived.
+    happens at the largest or the smallest position of the log. Afterwards, the device stays at this position, or leaves
+    it more slowly than it arrived.
     """
     x, change = samples.position, samples.change
     if len(x) < 2 * BEFORE:
@@ -74,9 +75,10 @@ def travel_stop(samples: Samples) -> Finding | None:
         return samples.finding(
             "travel_stop",
             "cut",
-            f"The position stops at {x[row]:.5g} {samples.unit('length')} in row {row}, which it reaches at "
-            f"{size[row - 2] / samples.period:.3g} {samples.unit('velocity')}: a travel stop.",
-            "Rows from there on are left out. Record smaller or shorter steps, away from the stop.",
+            f"The position reaches {x[row]:.5g} {samples.unit('length')} in row {row} at "
+            f"{size[row - 2] / samples.period:.3g} {samples.unit('velocity')} and stops there, which indicates a "
+            "travel stop.",
+            "The rows from this row on are left out. Record smaller or shorter steps, away from the stop.",
             first_row=row,
             rows=len(x) - row,
         )

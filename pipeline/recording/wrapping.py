@@ -13,13 +13,15 @@ JUMP = 0.5
 """Smallest change per row, relative to the range of the position, that may be a wrap-around."""
 
 SLOW = 0.4
-"""Largest other change per row, relative to the modulus, for which its direction is unambiguous."""
+"""Largest change per row apart from jumps, relative to the modulus, for which the direction of motion is
+unambiguous."""
 
 SMOOTH = 0.2
 """Largest difference between the changes on both sides of a jump, relative to the modulus, for a continuous motion."""
 
 ALIKE = 0.05
-"""Largest difference between the jumps of a log, without the motion during the jumps, relative to the modulus."""
+"""Largest difference between the jumps of a log, after subtraction of the motion during the jumps, relative to the
+modulus."""
 
 SURE = 4.0
 """Largest difference between a standard and the estimated modulus, in standard errors, for which they count as
@@ -29,19 +31,19 @@ UNSEEN = 1e-4
 """Relative error of a modulus that its jumps may not reveal."""
 
 FEWEST_STEPS = 16
-"""Smallest number of sensor steps in a modulus, since a sensor at rest between two values also jumps."""
+"""Smallest number of sensor steps in a modulus, because a sensor at rest between two values also jumps."""
 
 MODULI = (2 * np.pi, np.pi, 4 * np.pi, 8 * np.pi, 25.0)
-"""Moduli of common encoders [rad]. They are one turn, half a turn, several turns, and +-12.5 rad."""
+"""Moduli of common encoders [rad]: one turn, half a turn, several turns, and +-12.5 rad."""
 
 SMALL_DOUBT = 3.0
-"""Largest uncertainty of an estimated modulus that is not a standard one, in reading errors, for which it is
-accepted."""
+"""Largest uncertainty, in reading errors, with which an estimated modulus is accepted if it is not a standard
+modulus."""
 
 LEAST_ROWS = 3
 """Smallest number of rows after the first jump that are needed to show that the motion continues."""
 
-REMEDY = "Set unwrap = true in [columns.position] of the profile to confirm it."
+REMEDY = "To confirm this, set unwrap = true in [columns.position] of the profile."
 
 
 def unwrapped(position: Floats, rule: bool | float | None = None) -> tuple[Floats, Finding | None]:
@@ -92,7 +94,7 @@ def _joined(position: Floats, turns: Floats, modulus: float, jumps: Integers) ->
 
 
 def _modulus(position: Floats, change: Floats, jumps: Integers) -> tuple[float, bool] | None:
-    """Return the modulus that explains all jumps, and whether it is certain, or None if there is no such modulus."""
+    """Return the modulus that explains all jumps, with True if it is certain, or None if there is no such modulus."""
     is_jump = np.zeros(len(change), dtype=np.bool_)
     is_jump[jumps] = True
     others = np.flatnonzero(~is_jump)

@@ -323,7 +323,7 @@ class Database:
     def forget_old(self) -> set[str]:
         """Remove jobs that ended long ago, and return the remaining keys.
 
-        Uploads and the last report of each request are kept. Jobs of uploads are kept so that their logs are recognised.
+        The last report of each request is kept. Jobs of uploads are kept as well, so that their logs are recognised.
         """
         self.run(
             "DELETE FROM jobs WHERE state IN ('done', 'failed', 'cancelled') AND kind != 'upload' AND changed < ? AND "

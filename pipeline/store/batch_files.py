@@ -1,7 +1,6 @@
-"""Functions that write batch files, merge small ones, and remove outdated trials. A file has one experiment's trials.
-
-The metadata of a replacement list the replaced files, which are deleted once the replacement is on disk. A reader skips
-replaced files, so that it sees each trial exactly once.
+"""Functions that write batch files, merge small ones, and remove outdated trials. A file contains trials of a single
+experiment. The metadata of a replacement list the replaced files, which are deleted once the replacement is on disk. A
+reader skips replaced files, so that it sees each trial exactly once.
 """
 
 from __future__ import annotations
@@ -64,8 +63,7 @@ LARGE_TRIALS, LARGE_BYTES = 2048, 256 << 20
 
 Key = tuple[str, str, str]
 KEY_COLUMNS = ("source_path", "trial_id", "profile_sha256")
-"""Columns that identify a trial as it was read. They are its id, the path of its log, and the SHA-256 of the
-profile."""
+"""Columns that identify a trial as it was read: its id, the path of its log, and the SHA-256 of the profile."""
 
 
 class ExperimentKey(NamedTuple):
@@ -97,7 +95,7 @@ def write_batch(
     processed : Path
     place : ExperimentKey
     parts : iterable of pyarrow.Table
-        Trials in tables of at most one row group. They are written table by table to limit memory.
+        Trials in tables of at most one row group. The tables are written one by one to limit memory.
     replaces : collection of Path
 
     Returns
@@ -143,7 +141,7 @@ def trials_of(file: Path, kept: Booleans | None = None) -> Iterator[pa.Table]:
 def find_damaged(files: Iterable[Path]) -> dict[Path, str]:
     """Return the files whose content does not match the hash in their name, each with its fault and the remedy."""
     bad = [file for file in files if hash_in_name(file.name) not in (None, file_hash(file))]
-    return {file: str(damaged_file(file, "its content does not match its name")) for file in bad}
+    return {file: str(damaged_file(file, "its content does not match the hash in its name")) for file in bad}
 
 
 def rewrite(processed: Path, files: Sequence[Path], kept: Mapping[Path, Booleans] | None = None) -> Path | None:
@@ -152,7 +150,7 @@ def rewrite(processed: Path, files: Sequence[Path], kept: Mapping[Path, Booleans
     The files must have the same experiment and motion.
     ------
     StoreError
-        If a file is damaged. In this case nothing is changed.
+        If a file is damaged. In this case, no file is changed.
     """
     for text in find_damaged(files).values():
         raise StoreError(text)
@@ -165,7 +163,7 @@ def rewrite(processed: Path, files: Sequence[Path], kept: Mapping[Path, Booleans
 
 
 def remaining_rows(rows: Rows, keep: Booleans) -> dict[Path, Booleans]:
-    """Return a mask of the remaining rows for each file that loses rows."""
+    """Return a mask of the remaining rows for each file from which rows are removed."""
     return {rows.files[index]: keep[rows.file == index] for index in np.unique(rows.file[~keep]).tolist()}
 
 
@@ -187,7 +185,7 @@ def store(
 ) -> set[Path]:
     """Store trials in one file for each key, drop the trials that they replace, and return the changed folders.
 
-    If a trial stays under the same key, the file with the new trials replaces it. If its key changes, it is dropped
+    If a trial stays under the same key, the file with the new trials replaces it. A trial whose key changes is dropped
     first, because it can be read again from its log. Outdated contents are dropped last. A reader that finds two
     contents of a log takes the newer one.
     """
@@ -223,9 +221,9 @@ def remove_incomplete(processed: Path) -> None:
 def remove_superseded(processed: Path, damaged: dict[Path, str]) -> None:
     """Remove replaced files and unused trials. The caller must have locked the store.
 
-    Two writers on an object store may have stored or merged the same trials. Each would then remove another file, and a
-    trial could be lost. Therefore, all files that share trials are replaced by one new file. Damaged files are added to
-    `damaged` and skipped.
+    Two writers on an object store may have stored or merged the same trials. If each of them then removed a different
+    file, a trial could be lost. Therefore, all files that share trials are replaced by one new file. Damaged files are
+    added to `damaged` and skipped.
     """
     rows = read_rows(processed, VERSION_COLUMNS, damaged)
     remove_all(rows.replaced)
@@ -245,7 +243,7 @@ def remove_superseded(processed: Path, damaged: dict[Path, str]) -> None:
 
 
 def merge_small(processed: Path, folder: Path) -> None:
-    """Merge small batches of similar size if an experiment has many. The caller must have locked the store."""
+    """Merge small batches of similar size if an experiment has many of them. The caller must have locked the store."""
     while len(files := sorted(folder.glob(f"*{TABLE}"))) >= MOST_SMALL:
         tiers = defaultdict[tuple[ExperimentKey, int], list[Path]](list)
         for file in files:

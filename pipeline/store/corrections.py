@@ -1,9 +1,9 @@
-"""Correct stored trials manually. Trials are excluded, moved or deleted, and a correction can be undone.
+"""Correct stored trials manually. Functions that exclude, move or delete trials. Every correction can be undone.
 
 Corrections are stored in ``processed/corrections`` and applied when trials are read (`storage`), so that stored trials
 agree with the logs. A correction refers to the content of a log. It remains valid if the same log is ingested, merged
-or repaired again. A log with other content is another trial. Each change writes a new file with all corrections, then
-removes the files that were read. Two files written at the same time are both valid.
+or repaired again. A log with different content is a different trial. Each change writes a new file with all
+corrections, then removes the files that were read. Two files written at the same time are both valid.
 
 All functions take a text that selects trials: a device, ``device/experiment`` (as encoded by `names.folder_name`), the
 id of a trial or its first characters, or the path of a log with one trial. ``wait_s`` and ``say`` are explained in
@@ -50,10 +50,12 @@ Say = Callable[[str], None] | None
 
 
 def exclude(processed: Path, wanted: str, reason: str, wait_s: float = WAIT_S, say: Say = None) -> list[Exclusion]:
-    """Exclude trials. An excluded trial gets the new reason only if the text selects this trial alone."""
+    """Exclude trials. A trial that is already excluded gets the new reason only if the text selects just this trial."""
     text = storable(" ".join(reason.split()))
     if not text:
-        raise UsageError('reason is blank, but every report shows why a trial is excluded. Give --reason "<words>".')
+        raise UsageError(
+            'the reason is blank, but every report must show why a trial is excluded. Give --reason "<words>".'
+        )
     with writing(processed, wait_s, say):
         rows = _meant(processed, wanted)
         out = read_exclusions(processed)
@@ -73,16 +75,16 @@ def use_again(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = N
 
 
 def move(processed: Path, wanted: str, to: str, wait_s: float = WAIT_S, say: Say = None) -> int:
-    """Move trials to another device, or another ``device/experiment``, and return their number.
+    """Move trials to a different device, or a different ``device/experiment``, and return their number.
 
     Raises
     ------
     UsageError
-        If the trials at the destination have another type of motion or another sampling period.
+        If the trials at the destination have a different type of motion or a different sampling period.
     """
     place = _place_of(to)
     if len(place) > 2 or not all(place):
-        raise UsageError(f"{to}: invalid destination. Give DEVICE, or DEVICE/EXPERIMENT (a slash in a name as %2F).")
+        raise UsageError(f"{to}: invalid destination. Write DEVICE, or DEVICE/EXPERIMENT (a slash in a name as %2F).")
     with writing(processed, wait_s, say):
         more = ("motion", "sampling_period_s")
         stored = read_trials(processed, columns=[*IDENTITY, *more]).to_pylist()
@@ -97,8 +99,9 @@ def move(processed: Path, wanted: str, to: str, wait_s: float = WAIT_S, say: Say
             (motion, period), *others = sorted(found)
             if any(other != motion or not same_period(period, apart) for other, apart in others):
                 raise UsageError(
-                    f"{wanted}: cannot be moved to {place[0]}, experiment {experiment}: motion or sampling period "
-                    f"differ ({', '.join(f'{m}, {1e3 * t:.4g} ms' for m, t in sorted(found))}). Choose another name."
+                    f"{wanted}: cannot be moved to {place[0]}, experiment {experiment}, because the motion or the "
+                    f"sampling period differs ({', '.join(f'{m}, {1e3 * t:.4g} ms' for m, t in sorted(found))}). "
+                    "Choose another name."
                 )
         return _correct(processed, rows, dict(zip(("moved_device", "moved_experiment"), place, strict=False)))
 
@@ -119,7 +122,8 @@ def restore(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = Non
 
 
 def deleted(processed: Path) -> list[Exclusion]:
-    """Return all deleted trials with their former device and experiment. They need not be stored any more."""
+    """Return all deleted trials with their former device and experiment. Their samples may already have been removed
+    from the store."""
     return [one.at_place for one in read_corrections(processed).values() if one.deleted]
 
 
@@ -160,7 +164,7 @@ def _correct(processed: Path, rows: Sequence[Mapping[str, str]], change: Mapping
 
 
 def write_corrections(processed: Path, new: Iterable[Correction]) -> None:
-    """Add corrections to the stored ones in one step. The caller must have locked the store."""
+    """Add corrections to the stored corrections in one step. The caller must have locked the store."""
     known, former = read_corrections(processed), corrections_files(processed)
     now, added = max([time.time_ns(), *(one.corrected_ns + 1 for one in known.values())]), {o.trial_id: o for o in new}
     rows = [
@@ -174,7 +178,7 @@ def write_corrections(processed: Path, new: Iterable[Correction]) -> None:
 
 
 def copy_corrections(processed: Path, ids: Mapping[str, str]) -> None:
-    """Copy corrections of trials to new ids, because their logs were renamed. ``ids`` maps former to new ids."""
+    """Copy corrections of trials to new ids, because their logs were renamed. ``ids`` maps former ids to new ids."""
     known = read_corrections(processed)
     rows = [(now, known[old].model_dump()) for old, now in ids.items() if old in known]
     if rows:

@@ -14,10 +14,11 @@ from urllib.parse import quote, unquote
 from pipeline.base.provenance import digest
 
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d) *(\.|$)", re.IGNORECASE)
-"""Names that Windows reserves for its devices, with or without an extension."""
+"""Pattern of names that Windows reserves for its devices, with or without an extension."""
 
 _OWN_PAGES = ("index", "accuracy", "theory")
-"""Other pages in the folder of reports: of `pipeline watch`, `pipeline accuracy`, and `theory` in former versions."""
+"""Names of other pages in the folder of reports, written by `pipeline watch`, `pipeline accuracy`, and `theory` in
+former versions."""
 
 _AGAINST = "-against"
 """Part of the name of a page that compares two experiments, or two versions of a report."""
@@ -42,7 +43,7 @@ def folder_name(name: str) -> str:
 
 
 def name_of_folder(folder: str) -> str:
-    """Return the device or experiment name that belongs to a folder name of `folder_for`."""
+    """Return the device or experiment name that `folder_for` encoded in a folder name."""
     return unquote(folder)
 
 
@@ -55,7 +56,7 @@ def folder_for(parent: Path, name: str) -> Path:
 
 
 def report_of(reports: Path, device: str) -> Path:
-    """Return the file of the report of a device. No other page or device uses this file."""
+    """Return the file of the report of a device. No page of a different kind or device has this name."""
     plain = _without_against(device)
     if plain.casefold() in _OWN_PAGES:
         plain = _escaped(plain[0]) + plain[1:]
@@ -63,7 +64,7 @@ def report_of(reports: Path, device: str) -> Path:
 
 
 def page_against(reports: Path, first: tuple[str, str], second: tuple[str, str]) -> Path:
-    """Return the file of the page that compares two experiments (device, experiment). No other page uses this file."""
+    """Return the file of the page that compares two experiments (device, experiment). No other page has this name."""
     # Folder names never contain the character that separates device and experiment.
     one, other = ("=".join(map(_without_against, pair)) for pair in (first, second))
     if first[0] == second[0]:
@@ -73,10 +74,10 @@ def page_against(reports: Path, first: tuple[str, str], second: tuple[str, str])
 
 
 def page_against_document(report: Path, document: Path) -> Path:
-    """Return the file of the page that compares a report with an earlier document. It is in the folder of the report.
+    """Return the file of the page that compares a report with an earlier document, in the folder of the report.
 
-    Documents of different versions may have the same name in different folders. Therefore, a hash of the document's
-    path is part of the file name.
+    Documents of different versions may have the same name in different folders. Therefore, a hash of the path of the
+    document is part of the file name.
     """
     place = digest(os.path.realpath(document))
     return report.with_name(f"{report.stem}{_AGAINST}-earlier-{place[:8]}.html")

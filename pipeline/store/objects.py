@@ -33,16 +33,16 @@ RETRIES = 10
 """Number of retries after a network failure or a response of a busy server. Pauses grow from 0.1 s."""
 
 PATIENCE_S = 30.0
-"""Time for which a request is retried [s].
-
-It is long enough for a server restart, and short enough to report a server that is down.
+"""Time for which a request is retried [s]. This is long enough for a server to restart, and short enough to report a
+server that is down.
 """
 
 _TREES = ("trials", "stages", "theory", "corrections", "quarantine")
 """Folders that are stored. Locks and incomplete files stay local. Trials are uploaded before results based on them."""
 
 REPEATS = 20
-"""Largest number of times that a store is listed again because its files were merged during the download."""
+"""Maximum number of attempts to read a store. The store is listed again if its files were merged during the
+download."""
 
 _AT_ONCE = 8
 """Number of parallel requests. Requests mostly wait. A batch takes about 10 MiB of memory, and at most 256 MiB."""
@@ -52,7 +52,7 @@ Listed = tuple[str, int, datetime]
 
 
 class Objects:
-    """The objects below a URL, with the few atomic requests that a store needs.
+    """Objects below a URL, with the few atomic requests that a store needs.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class Objects:
     def __init__(self, url: str) -> None:
         self.url = url.rstrip("/")
         if not self.url.startswith(SCHEME) or len(self.url) == len(SCHEME):
-            raise UsageError(f"{url}: not the URL of a store. Give a folder, or {SCHEME}BUCKET/PREFIX.")
+            raise UsageError(f"{url}: not the URL of a store. Name a folder, or {SCHEME}BUCKET/PREFIX.")
         check_installed("obstore", f"a store at {self.url}")
         from obstore.store import S3Store
 
@@ -81,7 +81,7 @@ class Objects:
                 # Explicit options override environment variables.
                 client_options={"connect_timeout": "5s", "timeout": "120s", "allow_http": http},
             )
-        except Exception as error:  # the package's errors have no common base class
+        except Exception as error:  # the errors of the package have no common base class
             raise UsageError(f"{url}: cannot be opened ({_first_line(error)}).") from error
 
     def get(self, name: str) -> bytes | None:
@@ -116,7 +116,7 @@ class Objects:
         try:
             yield
         except (PermissionDeniedError, UnauthenticatedError) as error:
-            # This is the error that a read-only folder raises.
+            # A read-only folder raises the same error.
             raise PermissionError(errno.EACCES, _first_line(error), self.url) from error
         except (BaseError, FileNotFoundError) as error:
             raise StoreError(
@@ -136,7 +136,7 @@ def check_installed(package: str, purpose: str) -> None:
 
 
 def is_url(place: str | os.PathLike[str]) -> bool:
-    """Return whether the given place of a store is the URL of an object store, not a folder."""
+    """Return True if the given place of a store is the URL of an object store, and not a folder."""
     return "://" in os.fspath(place)
 
 
@@ -146,7 +146,8 @@ def _first_line(error: object) -> str:
 
 @dataclass
 class _Mirror:
-    """The local folder of an object store, and the files in both. ``place`` restricts it to a device or experiment."""
+    """Local folder of an object store, and the files that are in both. ``place`` restricts it to a device or
+    experiment."""
 
     objects: Objects
     folder: Path
@@ -155,14 +156,14 @@ class _Mirror:
     """Modification time [ns] of each file that is also in the store. A repair that rewrites a file changes its time."""
 
     def bring(self, trees: tuple[str, ...] = _TREES) -> bool:
-        """Download files that were added to the store since the last call, and return whether there were any."""
+        """Download files that were added to the store since the last call. Return True if there were any."""
         before = len(self.known)
         for _ in range(REPEATS):
             listed = [one for one in self.objects.list("") if _is_stored(one[0])]
             self._fetch([one for one in listed if one[0].startswith("corrections/")])
             own = self.place
             if any(one.changes_place for one in read_corrections(self.folder).values()):
-                own = ()  # trials of any device may have been moved to this one
+                own = ()  # trials of any device may have been moved to this device
             elif not any(_is_of(name.split("/"), own) for name, _, _ in listed if name.startswith("trials/")):
                 own = ()  # without files, the error message lists the existing devices
             if self._fetch([one for one in listed if one[0].startswith(trees) and _is_of(one[0].split("/"), own)]):
@@ -170,7 +171,7 @@ class _Mirror:
         raise StoreError(f"{self.objects.url}: changed during each of {REPEATS} attempts to read it. Try again later.")
 
     def _fetch(self, listed: list[Listed]) -> bool:
-        """Download the missing files of a listing. Return whether all are here, which fails if a file was replaced."""
+        """Download the missing files of a listing. Return False if a file is missing because it was replaced."""
 
         def fetch(one: Listed) -> bool:
             name, _, put = one
@@ -200,20 +201,20 @@ class _Mirror:
 
 
 def _is_stored(name: str) -> bool:
-    """Return whether an external name follows the naming scheme of the store and stays inside its folder."""
+    """Return True if an external name follows the naming scheme of the store and stays inside its folder."""
     tree, *parts = name.split("/")
     return tree in _TREES and "\\" not in name and not any(part in ("", ".", "..") for part in parts)
 
 
 def _is_of(parts: list[str], place: tuple[str, ...]) -> bool:
-    """Return whether a file belongs to a device or experiment. Without a place, this is true for all files."""
+    """Return True if a file belongs to a device or experiment. Without a place, this is true for all files."""
     if not place or parts[0] in ("theory", "corrections"):
         return True
     return parts[0] != "quarantine" and tuple(map(name_of_folder, parts[1 : 1 + len(place)])) == place
 
 
 _mirrors: dict[Path, _Mirror] = {}
-"""Mirrors of this process by their folders."""
+"""Mirrors of this process, keyed by their folders."""
 
 
 @contextmanager
@@ -226,7 +227,7 @@ def opened(place: str | Path, *only: str) -> Iterator[Path]:
     place : str or Path
         Folder, or URL of an object store.
     *only : str
-        A device, or a device and one of its experiments. Then, trials of other devices or experiments are not
+        A device, or a device and one of its experiments. The trials of other devices or experiments are then not
         downloaded.
 
     Raises
@@ -253,7 +254,7 @@ def opened(place: str | Path, *only: str) -> Iterator[Path]:
 
 
 def stored_by(place: str | Path, work: Callable[[Path], Result]) -> Result:
-    """Call a function that writes to a store, and return its result. A read-only store raises an error."""
+    """Call a function that writes to a store, and return its result. An error is raised if the store is read-only."""
     with opened(place) as folder:
         result = work(folder)
         publish(folder)
@@ -267,10 +268,11 @@ def publish(processed: Path) -> None:
 
 
 def renewed(processed: Path, tree: str) -> bool:
-    """Download files of one kind that others have stored since the last call. Return whether there were any."""
+    """Download files of one kind that other processes have stored since the last call. Return True if there were
+    any."""
     return processed in _mirrors and _mirrors[processed].bring((tree,))
 
 
 def origin(processed: Path) -> str:
-    """Return the folder of a store as text. For a mirror, return the URL of the object store."""
+    """Return the folder of a store as text, or the URL of the object store for a mirror."""
     return _mirrors[processed].objects.url if processed in _mirrors else os.fspath(processed)

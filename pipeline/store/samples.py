@@ -45,7 +45,7 @@ def load_trials(processed: Path, trials: pa.Table) -> Trials:
 
 
 def load_trial(processed: Path, trial: str, file: str, row: int) -> tuple[pa.Table, Trial] | None:
-    """Return a trial and its samples from its last known file and row, or None if it is no longer there."""
+    """Return a trial and its samples from its last known file and row, or None if the trial is no longer there."""
     names = [*(name for name in OF_TRIALS if name not in LOCATION), *SIGNALS]
     try:
         ((_, table),) = row_parts(processed / file, np.array([row]), names)
@@ -96,7 +96,7 @@ def _lists(table: pa.Table, column: str) -> Iterator[Floats | None]:
 
 
 def _trials(table: pa.Table, samples: dict[str, Floats]) -> Trials:
-    """Return trials from rows of their table. All samples are in flat arrays."""
+    """Return trials from rows of their table, with all samples in flat arrays."""
     extra: list[JsonObject] = [json.loads(text) for text in table.column("extra").to_pylist()]
     declared = [metadata.get("step_row") for metadata in extra]
     integrated = np.array([metadata.get("integrated") == "trapezoid" for metadata in extra], dtype=np.bool_)
@@ -127,8 +127,8 @@ def _located(processed: Path, trials: pa.Table) -> pa.Table:
     gone = [key for key in wanted if key not in places]
     if gone:
         raise StoreError(
-            f"{processed}: {len(gone)} trials were removed while they were read, because their source changed. The "
-            f"first is {gone[0][0]}. Run the command again."
+            f"{processed}: {len(gone)} trials were removed while they were read, because their logs changed. The first "
+            f"is {gone[0][0]}. Run the command again."
         )
     present = present.take([places[key] for key in wanted])
     for name in LOCATION:

@@ -6,8 +6,8 @@
     quarantine/                                              refused logs, with the reasons
 
 Each file is complete and named by the hash of its content. The metadata of a replacement list the replaced files.
-Readers need no lock, because they skip replaced files, and list the folder again if it changed while they read. Thus
-they see each trial once.
+Readers need no lock, because they skip replaced files, and list the folder again if it has changed during reading. They
+thus see each trial exactly once.
 """
 
 from __future__ import annotations
@@ -45,9 +45,8 @@ VERSION_COLUMNS = ("source_path", "trial_id", "source_sha256", "profile_sha256",
 """Columns that identify a trial and its version."""
 
 ATTEMPTS = 50
-"""Largest number of times that a read is repeated because files were merged meanwhile.
-
-A merge takes longer than listing the files, so that one repetition is nearly always enough.
+"""Maximum number of read attempts. A read is repeated if files were merged during it. A merge takes longer than listing
+the files, so that one repetition is nearly always enough.
 """
 
 _PAUSE_S = 0.02
@@ -83,7 +82,7 @@ def list_experiments(processed: Path, device: str) -> list[str]:
 
 
 def _places(processed: Path, *device: str) -> set[tuple[str, str]]:
-    """Return device and experiment of all trials, or of the trials of a device, after corrections."""
+    """Return the device and the experiment of all trials, or of the trials of a device, after corrections."""
     if any(one.changes_place for one in read_corrections(processed).values()):
         table = read_trials(processed, device[0] if device else None, columns=["device", "experiment"])
         return set(zip(*(table.column(name).to_pylist() for name in table.column_names), strict=True))
@@ -103,7 +102,7 @@ def trials_files(processed: Path, *names: str) -> list[Path]:
 
 
 def _listing(folder: Path) -> list[str]:
-    """Return the sorted Parquet files below a folder. A changed file has another name."""
+    """Return the sorted Parquet files below a folder. A changed file has a different name."""
     files, folders = list[str](), [os.fspath(folder)]
     while folders:
         try:
@@ -136,7 +135,8 @@ def read_steadily(folder: Path, read: Callable[[], Result]) -> Result:
                     raise
                 raise damaged_file(Path(error.filename or folder), error.strerror) from error
         else:
-            # Listing a folder is not atomic, so that a batch that is merged meanwhile may be missing from both lists.
+            # Listing a folder is not atomic, so a batch that is merged during the listing may be missing from both
+            # lists.
             if _listing(folder) == before:
                 return result
         time.sleep(_PAUSE_S)
@@ -161,10 +161,10 @@ def read_trials(
     processed : Path
     device, experiment : str, optional
     columns : list of str, optional
-        Columns from `tables.OF_TRIALS`. The default is all.
+        Columns from `tables.OF_TRIALS`. By default, all columns.
     damaged : dict of Path to str, optional
-        Dictionary to which damaged files and their faults are added. Files that it already contains are skipped. If it
-        is None, a damaged file raises an error.
+        Dictionary to which damaged files and their faults are added. Files that it already contains are skipped. By
+        default, a damaged file raises an error.
 
     Raises
     ------
@@ -185,7 +185,7 @@ def read_trials(
     for names in [place, *moved_from(corrections.values(), place)]:
         rows = read_rows(processed, needed, damaged, *names)
         current = rows.current
-        # Filtering with pyarrow would import modules, which takes longer than reading.
+        # Filtering with pyarrow would import modules, and this takes longer than reading.
         tables.append(rows.table if current.all() else rows.table.filter(pa.array(current)))
     return apply_corrections(pa.concat_tables(tables), corrections, place).select(wanted)
 
@@ -215,7 +215,8 @@ class Rows(NamedTuple):
 
     @property
     def current(self) -> Booleans:
-        """Mask of the valid rows. Each trial is valid once. If a log has several contents, the newest one is valid."""
+        """Mask of the valid rows: one row for each trial. If a log has several contents, the newest content is
+        valid."""
         paths, trials = self.column("source_path"), self.column("trial_id")
         if len(set(paths)) == len(set(trials)) == len(trials):
             return np.ones(len(trials), dtype=np.bool_)
@@ -271,7 +272,7 @@ def _file_rows(processed: Path, file: Path, columns: Sequence[str]) -> FileRows:
     if len(own) < len(columns):
         name = file.relative_to(processed).as_posix()
         arrays |= {"sample_file": pa.array([name] * len(table)), "sample_row": pa.array(np.arange(len(table)))}
-    # The types have been checked. A cast would import modules, which takes longer than reading.
+    # The types have been checked. A cast would import modules, and this takes longer than reading.
     return FileRows(pa.Table.from_arrays([arrays[name] for name in columns], schema=_schema(tuple(columns))), replaces)
 
 
@@ -289,7 +290,7 @@ A clock is accurate to 1e-4, and the limit of a stiff wall is proportional to 1/
 
 
 def same_period(one: float, other: float) -> bool:
-    """Return whether two sampling periods [s] may belong to one experiment."""
+    """Return True if two sampling periods [s] may belong to the same experiment."""
     return abs(one - other) <= APART * max(one, other)
 
 
@@ -310,12 +311,13 @@ def row_parts(
 
 
 def check_version(processed: Path) -> None:
-    """Raise an error if another version wrote the store. The message has the command that rebuilds it.
+    """Raise an error if the store was written by a different version. The message has the command that rebuilds the
+    store.
 
     Raises
     ------
     StoreError
-        If another version wrote the store.
+        If the store was written by a different version.
     """
     folders = set[str]()
     for file in trials_files(processed)[:ATTEMPTS]:
@@ -327,16 +329,15 @@ def check_version(processed: Path) -> None:
                 folders |= set(map(os.path.dirname, paths))
     if folders:
         raise StoreError(
-            f"{processed}: was written by another version. Rebuild it in another folder with `pipeline ingest "
+            f"{processed}: was written by a different version. Rebuild the store in a new folder with `pipeline ingest "
             f"{shlex.quote(os.path.commonpath(folders))} --processed {shlex.quote(f'{processed}-new')}`. Then remove "
             "the old folder."
         )
 
 
 class Exclusion(Record):
-    """A manual exclusion of a trial: device, experiment, log, reason, and time of the exclusion (UTC, ISO 8601).
-
-    The trial id is a hash of the log's content, the trial's label, and the conditions in the file name.
+    """A manual exclusion of a trial: device, experiment, log, reason, and time of the exclusion (UTC, ISO 8601). The
+    trial id is a hash of the content of the log, the label of the trial, and the conditions in the file name.
     """
 
     trial_id: str
@@ -350,7 +351,7 @@ class Exclusion(Record):
 
 
 class Correction(Exclusion):
-    """All corrections of a trial. Device and experiment are those stated in its log."""
+    """All corrections of a trial. Device and experiment are those stated in the log of the trial."""
 
     exclusion_reason: str = ""
     excluded_since: str = ""
@@ -361,7 +362,7 @@ class Correction(Exclusion):
 
     @property
     def changes_place(self) -> bool:
-        """Whether the trial is no longer used in the experiment that its log states."""
+        """True if the trial is no longer used in the experiment that its log states."""
         return self.deleted or self.place != (self.device, self.experiment)
 
     @property
@@ -381,19 +382,20 @@ IDENTITY = tuple(name for name in Exclusion.model_fields if name in TABLES["tria
 
 
 def corrections_files(processed: Path) -> list[Path]:
-    """Return the files of corrections. There are several if corrections were written at the same time."""
+    """Return the files of corrections. There are several files if corrections were written at the same time."""
     return sorted((processed / "corrections").glob("*.parquet"))
 
 
 def read_corrections(processed: Path) -> dict[str, Correction]:
-    """Return the corrections of a store in chronological order. The trials need not be stored any more.
+    """Return the corrections of a store in chronological order. The samples of these trials may already have been
+    removed from the store.
 
     If several files correct the same trial, the newest correction is returned.
 
     Raises
     ------
     StoreError
-        If a file is damaged. Then the corrections are unknown, and no result must be computed.
+        If a file is damaged. The corrections are then unknown, and no result may be computed.
     """
     tables = read_steadily(processed / "corrections", lambda: [read_table(f) for f in corrections_files(processed)])
     rows = [Correction(**row) for table in tables for row in table.to_pylist()]
@@ -456,8 +458,8 @@ def missing_inputs(processed: Path, device: str | None = None) -> tuple[str, ...
     """Return a warning for each experiment whose stored results are based on trials or corrections that no longer
     exist.
 
-    All devices or one device are checked. Trials that a later ingest may have replaced by the same number are not
-    reported.
+    Either all devices or a single device are checked. If a later ingest may have replaced trials by the same number of
+    trials, they are not reported.
     """
     found = list[str]()
     damaged: dict[Path, str] = {}
@@ -486,8 +488,8 @@ def missing_inputs(processed: Path, device: str | None = None) -> tuple[str, ...
             )
             if lost_inputs:
                 found.append(
-                    f"Experiment {experiment} of {of}: stored results are based on {lost_inputs}, which the store "
-                    "no longer contains. Restore the files from a backup, or ingest the logs and exclude the trials "
+                    f"Experiment {experiment} of {of}: stored results are based on {lost_inputs} that the store no "
+                    "longer contains. Restore the files from a backup, or ingest the logs and exclude the trials "
                     "again."
                 )
     return tuple(found)

@@ -1,9 +1,8 @@
-"""Index of trials. It is a single file with a copy of a few columns of all trial files.
-
-Reading it is faster than reading thousands of files.
+"""Index of trials. The index is a single file with a copy of a few columns of all trial files, because reading one file
+is faster than reading thousands.
 
 The index is local to this machine, and any reader may rewrite it. The copied columns of a trial file are valid as long
-as the file's size and modification time are unchanged.
+as the size and the modification time of the file are unchanged.
 """
 
 from __future__ import annotations
@@ -46,14 +45,14 @@ class FileRows(NamedTuple):
 def indexed_rows(
     processed: Path, files: Sequence[Path], read: Callable[[Path, Sequence[str]], FileRows | None]
 ) -> dict[Path, FileRows]:
-    """Return the copied columns of trial files, from the index as far as it is current.
+    """Return the copied columns of trial files, from the index where it is current.
 
     Parameters
     ----------
     processed : Path
     files : sequence of Path
     read : callable
-        Function that reads columns of a file that the index lacks. It returns None if the file is damaged.
+        Function that reads the columns of a file that is not in the index. It returns None if the file is damaged.
     """
     states = {file: (status.st_size, status.st_mtime_ns) for file in files if (status := file.stat())}
     root = len(os.fspath(processed)) + 1

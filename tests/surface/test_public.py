@@ -124,11 +124,11 @@ def test_what_is_not_there_is_named(tmp_path, falcon):
     stored = falcon.processed
     with pytest.raises(DeviceError, match="no trials of device 'lwr'. Devices with trials: falcon"):
         pipeline.trials(stored, "lwr")
-    with pytest.raises(DeviceError, match="experiment '9'; found 1"):
+    with pytest.raises(DeviceError, match="experiment '9'. Experiments with trials: 1"):
         pipeline.trials(stored, "falcon", "9")
     with pytest.raises(UsageError, match="without its device"):
         pipeline.trials(stored, experiment="1")
-    with pytest.raises(DeviceError, match="no logs of experiment '9'; found 1"):
+    with pytest.raises(DeviceError, match="no logs of experiment '9'. Experiments with trials: 1"):
         pipeline.estimates(stored, "falcon", "9")
     with pytest.raises(UsageError, match="no trial 'abc'"):
         pipeline.samples(stored, "abc")
