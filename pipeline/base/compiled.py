@@ -1,9 +1,8 @@
-"""Loops that numba compiles at their first call and stores on disk for later processes.
-
-A command that calls no such loop does not import numba. With ``NUMBA_DISABLE_JIT=1``, plain Python functions run for a
-debugger. They are slow but give the same results. Machine code is stored in the folder ``NUMBA_CACHE_DIR``, by default
-in the cache folder of the user. If this folder is read-only, each process compiles in memory. Otherwise only one
-process compiles at a time, so that several processes need not compile the same function.
+"""Loops that numba compiles at their first call, and that are stored on disk for later processes. A command that calls
+no such loop does not import numba. With ``NUMBA_DISABLE_JIT=1``, plain Python functions are run, so that a debugger can
+be used. They are slow, but return the same results. Machine code is stored in the folder ``NUMBA_CACHE_DIR``, by
+default in the cache folder of the user. If this folder is read-only, each process compiles in memory. Otherwise, only
+one process compiles at a time, so that several processes do not compile the same function.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ KEPT_DAYS = 90.0
 """Age at which machine code is removed [days], so that former versions do not fill the disk."""
 
 NOTICED_S = 1.0
-"""Time after which the user is informed about a compilation [s]."""
+"""Time after which the user is informed of a compilation [s]."""
 
 _ONE_THREAD = threading.Lock()
 """Lock on the compiler and on the engine that loads machine code."""
@@ -43,14 +42,15 @@ _parts: list[tuple[Callable[..., Any], bool]] = []
 """Functions to register with numba before their callers are compiled, and whether they are inlined."""
 
 _listeners: list[tuple[Callable[[str], None], float]] = []
-"""Callback for the first compilation that takes longer than the given time [s]. The list is empty if there is none."""
+"""Callback for the first compilation that takes longer than the given time [s]. The list is empty if there is no
+callback."""
 
 
 def compiled(signature: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Return a decorator that compiles a function for a signature such as ``"f8(f8[::1])"`` at its first call.
 
     The Python function remains available as ``__wrapped__``. A compiled function accepts only arrays of the types in
-    its signature. It cannot call another compiled function, but only functions marked with `inlined` or `part`.
+    its signature. It cannot call other compiled functions, but only functions marked with `inlined` or `part`.
     Divisions by zero return infinity or NaN, as in numpy. Stored machine code is loaded without numba
     (`pipeline.base.machine_code`).
 
@@ -84,7 +84,7 @@ def compiled(signature: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 def inlined(function: F) -> F:
-    """Inline this function into compiled functions of the same module. Other callers run it as plain Python.
+    """Inline this function into compiled functions of the same module. For all other callers, it is plain Python.
 
     Stored machine code is replaced only if the file of the compiled function changes. Functions that it calls,
     and constants that both use, must therefore be in the same module.
@@ -100,9 +100,9 @@ def part(function: F) -> F:
 
 
 def load_compiled(*modules: str) -> None:
-    """Load or compile all compiled functions of those given modules or packages that are imported.
+    """Load or compile all compiled functions of the given modules or packages, as far as these are imported.
 
-    By default, all functions are loaded. This is called before a pool starts, so that one process compiles the
+    By default, all functions are loaded. This function is called before a pool starts, so that one process compiles the
     functions and the workers load them.
     """
     for module, loaders in list(_loaders.items()):
@@ -176,7 +176,8 @@ def _register_inlined() -> None:
 
 
 def _remove_unused(folder: Path) -> None:
-    """Remove object files that are older than `KEPT_DAYS`. A version that is still in use compiles them again."""
+    """Remove object files that are older than `KEPT_DAYS`. A version that is still in use compiles its functions
+    again."""
     oldest = time.time() - 86400 * KEPT_DAYS
     for file in folder.glob("*.o"):
         with suppress(OSError):

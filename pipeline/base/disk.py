@@ -1,12 +1,13 @@
-"""Atomic files, named by the hash of their content. They appear completely or not at all, even after a power failure.
+"""Atomic files, named by the hash of their content. A file appears completely or not at all, even after a power
+failure.
 
 A new file is written under a temporary name, synced and renamed. Then its folder is synced. The file is invisible
-before the rename and durable after it. A file with the hash of its content in its name needs no other checksum, and two
-writers that write equal content write the same file.
+before the rename and durable after it. A file with the hash of its content in its name needs no other checksum. Two
+writers of equal content write the same file.
 
 Only one command at a time writes to `processed/`. It locks the file ``processed/.lock``. The kernel releases the lock
-when the process ends, for any reason, and the file remains. Readers need no lock, because stored files are always
-complete. This works on Linux, macOS and Windows, on local disks and on NFS 4 or newer.
+when the process ends for any reason. The lock file itself remains. Readers need no lock, because stored files are
+always complete. This works on Linux, macOS and Windows, on local disks and on NFS 4 or newer.
 """
 
 from __future__ import annotations
@@ -39,11 +40,10 @@ _TEMPORARY = f".*.{'[0-9a-f]' * 16}{TEMPORARY_ENDING}"
 """Name pattern of incomplete files."""
 
 _ABANDONED_S = 7 * 86400.0
-"""Threshold for the age of a temporary file [s]. Above it, the file counts as abandoned. Even a large map is written
-within hours."""
+"""Age of a temporary file above which it counts as abandoned [s]. Even a large map is written within hours."""
 
 _LONGEST_NAME = 200
-"""Number of bytes of the final name in the temporary name. File systems allow 255."""
+"""Largest number of bytes of the final name in the temporary name. File systems allow 255."""
 
 _SYNCS = 16
 """Number of files that are synced together. 500 files took 2.5 s in sequence on ext4, and 0.1 s with 16 together."""
@@ -87,7 +87,7 @@ def sync_file(file: Path) -> None:
 def sync_folder(folder: Path) -> None:
     """Sync a folder, so that added, renamed and removed names are durable.
 
-    Windows cannot open folders. There, the journal of the file system keeps the order.
+    Windows cannot open folders. On Windows, the journal of the file system keeps the order.
     """
     if hasattr(os, "O_DIRECTORY"):
         sync_file(folder)
@@ -102,7 +102,7 @@ def map_in_threads(work: Callable[[Item], Result], items: Sequence[Item], at_onc
 
 
 def remove_all(files: Iterable[Path]) -> None:
-    """Remove the files that exist, and sync their folders."""
+    """Remove those of the files that exist, and sync their folders."""
     folders = set()
     for file in files:
         with suppress(FileNotFoundError):
@@ -115,7 +115,7 @@ def remove_all(files: Iterable[Path]) -> None:
 
 @dataclass
 class NewFile:
-    """Stream and path of a file that is being written. The path is temporary until the file is complete."""
+    """Stream and path of a file during writing. The path is temporary until the file is complete."""
 
     stream: BinaryIO
     path: Path
@@ -170,7 +170,8 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Add the path of a file to errors of calls that know only its descriptor, such as the error of a full disk."""
+    """Add the path of a file to errors of calls that know only the descriptor of the file, such as the error of a full
+    disk."""
     try:
         yield
     except OSError as error:
@@ -208,7 +209,7 @@ def write_result(folder: Path, stem: str, ending: str, data: bytes, mode: int | 
 def result_files(folder: Path, stem: str, ending: str) -> list[Path]:
     """Return the files that store a result.
 
-    There is usually one, and there are two while the result is being replaced.
+    There is usually one such file, and there are two while the result is being replaced.
     """
     try:
         names = sorted(os.listdir(folder))
@@ -231,7 +232,8 @@ def read_result(folder: Path, stem: str, ending: str) -> bytes | None:
 def shared_mode(like: Sequence[os.stat_result], folder: Path) -> int:
     """Return the permission mode common to several files, for a new file with data from all of them.
 
-    A user who may not read one of them may not read the new file. A file of another group gives no rights to its group.
+    A user who may not read one of the files may not read the new file. A file of a different group gives no rights to
+    its group.
     """
     mode = READABLE
     there = os.stat(folder) if like else None
@@ -242,13 +244,13 @@ def shared_mode(like: Sequence[os.stat_result], folder: Path) -> int:
 
 
 def readers_of(mode: int) -> int:
-    """Return the mode of a file with the same readers as a file of another mode."""
+    """Return the mode of a file that is to have the same readers as a file with the given mode."""
     return 0o600 | (0o060 if mode & 0o040 else 0) | (0o006 if mode & 0o004 else 0)
 
 
 @contextmanager
 def if_writable() -> Iterator[None]:
-    """Skip the writes of a block if the folder is read-only, since their content can be recomputed."""
+    """Skip the writes of a block if the folder is read-only, because their content can be recomputed."""
     try:
         yield
     except OSError as error:
@@ -258,8 +260,7 @@ def if_writable() -> Iterator[None]:
 
 def remove_temporary(folder: Path, age_s: float = 0.0, deep: bool = False) -> None:
     """Remove leftovers of interrupted writers from a folder, if possible, and from its subfolders if `deep` is true.
-
-    Use an age of 0 only if no other process may write there.
+    Use an age of 0 only if no other process can write there.
     """
     for file in (folder.rglob if deep else folder.glob)(_TEMPORARY):
         with suppress(OSError):
@@ -271,11 +272,11 @@ def remove_temporary(folder: Path, age_s: float = 0.0, deep: bool = False) -> No
 LOCK_FILE = ".lock"
 
 WAIT_S = 60.0
-"""Default waiting time for the lock [s]. An ingest of thousands of logs takes seconds, so two commands that a script
+"""Default waiting time for the lock [s]. An ingest of thousands of logs takes seconds. Thus, two commands that a script
 starts together both succeed, and a command that does not end is reported within a minute."""
 
 _GRACE_S = 0.05
-"""Waiting time without a message [s], in which most writers end."""
+"""Time for which a command waits without a message [s], and in which most writers end."""
 
 _LONGEST_NOTE = 4096
 """Number of bytes that are read from a lock file. Its note has about 100."""
@@ -328,19 +329,19 @@ def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] 
 
 def _take(file: int, processed: Path, wait_s: float, say: Callable[[str], None] | None) -> None:
     """Lock a file. The lock is released when the file is closed or its process ends."""
-    from filelock import lock_descriptor  # saves 0.07 s in commands that only read
+    from filelock import lock_descriptor  # imported only here, which saves 0.07 s in commands that only read
 
     began, announced = time.monotonic(), False
     try:
         while not lock_descriptor(file, blocking=False):
             waited = time.monotonic() - began
             if say and not announced and waited >= _GRACE_S:
-                say(f"{processed}: {_noted(file)} writes there; waiting up to {wait_s:g} s")
+                say(f"{processed}: {_noted(file)} is writing there; waiting up to {wait_s:g} s")
                 announced = True
             if waited >= max(wait_s, _GRACE_S):
                 raise StoreError(
-                    f"{processed}: {_noted(file)} writes there; waited {wait_s:g} s. Only one command may "
-                    "write at a time: run the command again when it has ended."
+                    f"{processed}: {_noted(file)} is writing there; waited {wait_s:g} s. Only one command may write at "
+                    "a time. Run the command again when the other one has ended."
                 )
             time.sleep(_GRACE_S / 5)
     except OSError as error:

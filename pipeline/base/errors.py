@@ -1,6 +1,6 @@
 """Errors that a user can act on, with the exit status of each class.
 
-Every message states the fault, its place, the expected value, the found value and the remedy.
+Every message states the fault, its place, the expected value, the actual value and the remedy.
 """
 
 from __future__ import annotations
@@ -11,31 +11,37 @@ from typing import Self
 CURES: dict[str, str] = {
     "empty": "Record the log again.",
     "too-short": "Was the recording cut off? Record it again.",
-    "encoding": 'Save it as UTF-8, or state its encoding in the profile, such as encoding = "latin-1".',
+    "encoding": 'Save the file as UTF-8, or state its encoding in the profile, such as encoding = "latin-1".',
     "header-missing": "Correct the layout in the profile, or export the file again.",
     "column-missing": "Correct the name in the profile, or the file.",
     "row-length": "Repair the row, or leave this log out.",
     "not-a-number": "Repair the row, or leave this log out.",
-    "no-value": "Fill in or drop these rows, or take another column.",
+    "no-value": "Fill in or drop these rows, or use a different column.",
     "not-finite": "Repair the row, or leave this log out.",
     "out-of-range": "Repair the row, or leave this log out.",
-    "time-backwards": "Sort out doubled or swapped rows, or leave this log out.",
+    "time-backwards": "Correct duplicate or swapped rows, or leave this log out.",
     "time-wrong": "Correct [columns.time] of the profile, or repair the rows.",
     "condition-missing": "Correct the profile, or the file.",
     "condition-wrong": "Correct the profile (name_pattern, attributes, condition_columns, [[file]]) or the file.",
     "profile-wrong": "Correct the profile.",
-    "no-profile": "Remove it, correct `files` of the profile, or name the profile to read it by.",
-    "lengths-differ": "Choose signals that were recorded together, with the time that belongs to them.",
+    "no-profile": "Remove the file, correct `files` of the profile, or select a profile with --profile.",
+    "lengths-differ": "Choose signals that were recorded together, with their common time stamps.",
     "partner-missing": "Put all files of the log into one folder.",
     "too-large": "Split the recording into single responses, or export the columns that are needed.",
-    "unpacks-too-large": "It is damaged or no log of one step response. Export it again, with the columns needed.",
-    "unreadable": "Correct its permissions.",
-    "not-regular": "Copy the log's content to a file.",
+    "unpacks-too-large": (
+        "The file is damaged, or is not a log of a single step response. Export it again with only the required "
+        "columns."
+    ),
+    "unreadable": "Correct the permissions of the file.",
+    "not-regular": "Copy the content of the log to a regular file.",
     "changed-while-read": "Run the command again.",
-    "syntax": "The file is cut or damaged; record it again.",
-    "damaged": "It is cut, damaged or of another format. Copy or export it again, or correct `format` in the profile.",
+    "syntax": "The file is truncated or damaged. Record the log again.",
+    "damaged": (
+        "The file is truncated, damaged or in a different format. Copy or export it again, or correct `format` in the "
+        "profile."
+    ),
     "unsupported": "Correct `format` in the profile, or export the file again.",
-    "library-missing": "Install it.",
+    "library-missing": "Install the library.",
 }
 """Default remedy for each machine-readable reason to refuse a log. The set of reasons is closed and explained in
 docs/logs.md. The wording of messages may change."""
@@ -48,7 +54,7 @@ OTHER_COLUMNS = frozenset({"no-profile", "header-missing", "column-missing"})
 
 
 def draft_hint(log: str) -> str:
-    """Return the remedy for a log whose columns match no profile."""
+    """Return a hint for a log whose columns match no profile."""
     return f"Other columns? pipeline profile draft {shlex.quote(log)}"
 
 
@@ -58,7 +64,7 @@ EXIT_USAGE = 2
 EXIT_QUARANTINED = 3
 
 
-REMEDY = "`pipeline check` lists the data that can be saved, `pipeline check --repair` saves them."
+REMEDY = "`pipeline check` lists the data that can be recovered, and `pipeline check --repair` recovers them."
 """Remedy for a damaged file in the folder `processed`."""
 
 
@@ -69,7 +75,7 @@ class PipelineError(Exception):
 
 
 class UsageError(PipelineError):
-    """A command was called with values that contradict each other."""
+    """A command was called with values that are invalid or contradict each other."""
 
     exit_status = EXIT_USAGE
 
@@ -80,9 +86,9 @@ class LogError(PipelineError):
     Parameters
     ----------
     reason : str
-        The fault, the expected value, the found value and the remedy.
+        The fault, the expected value, the actual value and the remedy.
     row : int, optional
-        Row of the source file, counted from 1. It is the line of a text file, or else the record, sample or message.
+        Row of the source file, counted from 1. A row is a line of a text file, otherwise a record, sample or message.
     code : str
         A key of `CURES`.
     profile_line : str, optional
@@ -113,9 +119,9 @@ def refusal(
     code : str
         A key of `CURES`.
     where : str
-        File and, if applicable, trial or column in it. It is empty if the place is shown next to the message.
+        File and, if applicable, trial or column in it. Empty if the place is shown next to the message.
     found, expected : str
-        The fault and the expected value. ``expected`` may be empty if ``found`` implies it.
+        The fault and the expected value. ``expected`` may be empty if it follows from ``found``.
     cure : str
         Remedy that replaces the default remedy of the code in `CURES`.
     row : int, optional
@@ -146,4 +152,4 @@ class StoreError(PipelineError):
 
 
 class ParameterError(PipelineError, ValueError):
-    """A number lies outside the range for which its quantity is defined."""
+    """A number is outside the range for which its quantity is defined."""

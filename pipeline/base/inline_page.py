@@ -1,4 +1,4 @@
-"""Content-Security-Policy and embedded JSON of web pages that load nothing from outside."""
+"""Content-Security-Policy and embedded JSON of web pages that load no external resources."""
 
 from __future__ import annotations
 

@@ -23,7 +23,8 @@ from pipeline.base.process import begin_alone, without_pandas
 
 
 class IsolationError(Exception):
-    """A function crashed its process or exceeded its limits. Its text is a predicate, such as "crashes (status 1)"."""
+    """A function crashed its process or exceeded its limits. The text of the error is a predicate, such as "crashes
+    (status 1)"."""
 
 
 def run_isolated(
@@ -47,12 +48,12 @@ def run_isolated(
     wait_s : float
         Longest wait for the result [s].
     processor_s : float, optional
-        Limit of the processor time [s], by default unlimited. It is enforced only on Unix.
+        CPU time limit [s], enforced only on Unix. Unlimited by default.
     memory : int, optional
-        Memory that the function may use in addition to the worker's own [byte], by default unlimited. It is enforced
-        only on Linux.
+        Memory that the function may use in addition to that of the worker [byte], enforced only on Linux. Unlimited by
+        default.
     imports : str
-        Modules that the function imports, separated by blanks. Their import does not count towards the limits.
+        Modules that the function imports, separated by blanks. Importing them does not count towards the limits.
 
     Raises
     ------
@@ -109,7 +110,8 @@ def _folder() -> str | None:
 
 
 def _adopt(environment: dict[str, str], folder: str | None) -> None:
-    """Adopt the working folder and the environment variables of the caller, except the worker's own variables."""
+    """Adopt the working folder and the environment variables of the caller, except the variables that a worker
+    keeps."""
     wanted = environment | {name: os.environ[name] for name in _OWN if name in os.environ}
     if wanted != dict(os.environ):
         os.environ.clear()
@@ -123,8 +125,8 @@ def _adopt(environment: dict[str, str], folder: str | None) -> None:
 def _bounded(processor_s: float | None, memory: int | None) -> Iterator[None]:
     """Limit the time and memory of a call, even while the call blocks the interpreter.
 
-    The operating system ends this process after the given processor time. It also ends it with its parent, whose end
-    closes the pipe of calls. The memory is limited only on Linux.
+    The operating system ends this process after the given processor time. It also ends this process when the parent
+    ends, because the pipe of calls then closes and raises SIGIO. The memory is limited only on Linux.
     """
     try:
         resource, fcntl = import_module("resource"), import_module("fcntl")
@@ -160,8 +162,8 @@ class _Worker:
         self.results: IO[bytes] = cast(IO[bytes], self.process.stdout)
 
     def call(self, call: tuple[Any, ...], wait: float) -> tuple[bool, Any] | None:
-        """Return whether a call succeeded, and its result or exception. Return None if the process crashed or did not
-        answer within `wait` seconds."""
+        """Return True and the result of a call, or False and the exception that it raised. Return None if the process
+        crashed or did not answer within `wait` seconds."""
         watch = threading.Timer(wait, self.process.kill)
         watch.daemon = True
         watch.start()
@@ -179,14 +181,14 @@ class _Worker:
             watch.cancel()
 
     def end(self) -> str:
-        """Stop the process and describe how it ended."""
+        """Stop the process, and return a text that describes its end."""
         self.process.kill()
         status = self.process.wait()
         for pipe in (self.calls, self.results):
             with contextlib.suppress(OSError):
                 pipe.close()
         endless = status in (-getattr(signal, "SIGPROF", 0), -getattr(signal, "SIGKILL", 0))
-        return "does not come to an end" if endless else f"crashes (status {status})"
+        return "does not end in time" if endless else f"crashes (status {status})"
 
 
 _OWN = ("PYTHONPATH", "OPENBLAS_NUM_THREADS")

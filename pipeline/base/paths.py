@@ -26,7 +26,7 @@ def storable(text: str) -> str:
 
 
 def path_text(path: Path | str) -> str:
-    r"""Return a path as text, which is a ``file:`` URI of the absolute path if the path is not valid UTF-8.
+    r"""Return a path as text, or as a ``file:`` URI of the absolute path if the path is not valid UTF-8.
 
     Examples
     --------
@@ -63,7 +63,7 @@ def open_regular(path: Path) -> BinaryIO:
     OSError
         If the path cannot be opened or is not a regular file.
     """
-    # a pipe may have replaced the file since `find_sources`; O_NONBLOCK prevents that opening it blocks
+    # a pipe may have replaced the file since `find_sources`; O_NONBLOCK prevents opening it from blocking
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     if not stat.S_ISREG(os.fstat(handle).st_mode):
         os.close(handle)
@@ -88,9 +88,9 @@ def check_output(path: Path, option: str, *, document_beside: bool = False) -> N
     path : Path
         File that the command will write. Its parent folders may be missing.
     option : str
-        Name of the command-line option for the message. The name is empty if the path is not given by an option.
+        Name of the command-line option for the message. Empty if the path is not given by an option.
     document_beside : bool
-        Whether a JSON document with the same name is written next to the file.
+        True if a JSON document with the same name is written next to the file.
 
     Raises
     ------
@@ -104,16 +104,16 @@ def check_output(path: Path, option: str, *, document_beside: bool = False) -> N
         raise UsageError(f"{place}: is a folder; expected a file. Add a file name, such as {path / 'report.html'}.")
     if document_beside and path.suffix.lower() == ".json":
         raise UsageError(
-            f"{place}: is the name of the JSON document, which is written next to the page and would replace it; "
-            f"expected the name of the page. Give {path.with_suffix('.html')}."
+            f"{place}: is the name of the JSON document that is written next to the page and would replace it. "
+            f"Expected the name of the page. Give {path.with_suffix('.html')}."
         )
-    # The nearest existing parent decides. A removed working folder raises the error below.
+    # The nearest existing parent is checked. For a removed working folder, the error below is raised.
     folder = next((above for above in path.parents if above.exists()), Path("."))
     try:
         with tempfile.TemporaryFile(dir=folder):  # permission bits alone do not show whether files can be created
             pass
     except OSError as error:
         raise PipelineError(
-            f"{place}: cannot be written, because no file can be created in {folder} "
-            f"({error.strerror or error}). Choose another place, or correct the permissions."
+            f"{place}: cannot be written, because no file can be created in {folder} ({error.strerror or error}). "
+            "Choose a different place, or correct the permissions."
         ) from error

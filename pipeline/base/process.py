@@ -1,9 +1,9 @@
 """Start and end of this package's processes, and pools of worker processes.
 
-A worker ends when the process that started it ends for any reason. It waits on a pipe whose other end is open only in
-its parent. The operating system closes the pipe when the parent ends. (Linux's parent-death signal would be sent when
-the starting *thread* ends.) A termination signal is raised as an exception, so that incomplete files are removed. A
-second signal ends the process immediately.
+A worker ends when the process that started it ends for any reason. The worker waits on a pipe whose other end is open
+only in its parent. The operating system closes the pipe when the parent ends. (Linux's parent-death signal would be
+sent when the starting *thread* ends.) A termination signal is raised as an exception, so that incomplete files are
+removed. A second signal ends the process immediately.
 """
 
 from __future__ import annotations
@@ -29,15 +29,16 @@ STOP_SIGNALS = tuple(
 """Termination signals of this system, sent by Ctrl-C, a service manager or a closed terminal."""
 
 _alone = False
-"""Whether this process executes only code of this package."""
+"""True if this process executes only code of this package."""
 
 
 def begin_alone() -> None:
     """Configure a process that executes only code of this package, before numpy is imported.
 
-    The linear algebra library uses one thread, unless the user has set ``OPENBLAS_NUM_THREADS``. Matrices are small
-    here and many processes compute simultaneously. Threads that wait for each other would double the processor time,
-    and sums would depend on the number of threads. In addition, pyarrow may not import pandas (`without_pandas`).
+    The linear algebra library uses one thread, unless the user has set ``OPENBLAS_NUM_THREADS``. Matrices are small,
+    and many processes compute simultaneously. Threads that wait for each other would double the processor time, and
+    sums would depend on the number of threads. In addition, pyarrow is prevented from importing pandas
+    (`without_pandas`).
     """
     global _alone
     _alone = True
@@ -54,7 +55,7 @@ class _NoPandas:
 
 
 def without_pandas(pyarrow: Any) -> None:
-    """Prevent pyarrow from importing pandas with its first array (0.2 s, 40 MB), but only in this package's processes.
+    """Prevent pyarrow from importing pandas with its first array (0.2 s, 40 MB), but only in processes of this package.
 
     pyarrow searches for pandas only once. This function triggers the search while pandas is hidden. An explicit import
     of pandas and ``Table.to_pandas`` still work. ``pyarrow.array`` then treats a pandas series as a plain sequence.
@@ -81,7 +82,7 @@ class Ended(BaseException):
         self.number = number
 
     def leave(self) -> None:
-        """End this process as the unhandled signal would, so that its parent sees the reason."""
+        """End this process as the unhandled signal would have done, so that its parent sees the reason."""
         signal.signal(self.number, signal.SIG_DFL)
         signal.raise_signal(self.number)
 
@@ -122,8 +123,9 @@ def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
     Notes
     -----
-    A call raises ``BrokenProcessPool`` if a process was killed. It is also raised if a process cannot import the main
-    program of the caller, for example in an interactive session. The caller may then compute in its own process.
+    A call raises ``BrokenProcessPool`` if a process was killed. This exception is also raised if a process cannot
+    import the main program of the caller, for example in an interactive session. The caller may then compute in its own
+    process.
     """
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
@@ -141,7 +143,8 @@ def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _begin(parent: Connection) -> None:
-    """Initialise a worker of a pool. It ignores Ctrl-C because its parent handles signals and ends it."""
+    """Initialise a worker of a pool. A worker ignores Ctrl-C, because its parent handles signals and ends the
+    worker."""
     threading.Thread(target=_end_with, args=(parent,), name="end with the parent", daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     begin_alone()

@@ -1,6 +1,5 @@
-"""Progress of long computations. A part of the work reports its completed share to a listener, if there is one.
-
-A part covers a range of the enclosing part. A function therefore reports shares from 0 to 1, independent of its caller.
+"""Progress of long computations. A part of the work reports its completed share to a listener, if there is one. Each
+part covers a range of its enclosing part, so that a function reports shares from 0 to 1, whatever its caller.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, replace
 
 Listener = Callable[[str, float], None]
-"""Callback that receives the name of the current part and the completed share of the total work, 0 to 1."""
+"""Callback that receives the name of the current part and the completed share of the total work (0 to 1)."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ class Names:
 
 
 def report(share: float) -> None:
-    """Report the completed share of the current part, 0 to 1."""
+    """Report the completed share of the current part (0 to 1)."""
     part = _PART.get()
     if part is not None:
         _SHARE.set(share)

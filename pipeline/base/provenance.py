@@ -16,17 +16,18 @@ PACKAGE_FOLDER = Path(__file__).parents[1]
 
 
 def schema_folder() -> Path:
-    """Return the folder with device, profile and schema files, which in a source checkout is next to the package."""
+    """Return the folder with device, profile and schema files. In a source checkout, this folder is next to the
+    package."""
     installed = PACKAGE_FOLDER / "_schemas"
     return installed if installed.is_dir() else PACKAGE_FOLDER.parent / "schemas"
 
 
 USER_FOLDER_VARIABLE = "PIPELINE_DEVICES"
-"""Environment variable that names a folder with the user's device files."""
+"""Environment variable that names a folder with device files of the user."""
 
 
 def user_device_folder() -> Path | None:
-    """Return the folder with the user's device files, or None if the environment variable is not set."""
+    """Return the folder with device files of the user, or None if the environment variable is not set."""
     own = os.environ.get(USER_FOLDER_VARIABLE)
     return Path(own) if own else None
 
@@ -76,5 +77,5 @@ def _source(file: Path) -> bytes:
 
 
 def stamp(**entries: str) -> Mapping[str, str]:
-    """Return the metadata of an output file, which are the given hashes and the package version."""
+    """Return the metadata of an output file: the given hashes and the package version."""
     return {"pipeline.version": __version__, **{f"pipeline.{key}": value for key, value in entries.items()}}

@@ -37,7 +37,7 @@ _FACTORS: dict[str, dict[str, float]] = {
         "mNms/deg": 1e-3 / _DEGREE,
     },
 }
-"""Factors to the SI unit by quantity and symbol. The SI unit is the first of each quantity."""
+"""Factors to the SI unit, keyed by quantity and symbol. The first unit of each quantity is the SI unit."""
 
 DRIVES: dict[str, dict[str, float]] = {
     "voltage": {"V": 1.0, "mV": 1e-3},
@@ -46,11 +46,11 @@ DRIVES: dict[str, dict[str, float]] = {
     "percent": {"%": 1.0},
 }
 """Units of a command that is not a force or torque. The first unit of each kind is used internally. All parameters of a
-device relate to this unit until a gain converts the command to a force."""
+device are per this unit, unless a gain converts the command to a force."""
 
 
 def drive_unit(drive: str, behind: str) -> str:
-    """Return a compound unit with the drive unit in place of N or Nm.
+    """Return a compound unit, with the unit of a drive in place of N or Nm.
 
     >>> drive_unit("V", "s/m"), drive_unit("counts", "s/m"), drive_unit("%", "")
     ('Vs/m', 'counts s/m', '%')
@@ -59,7 +59,7 @@ def drive_unit(drive: str, behind: str) -> str:
 
 
 def _of_drives() -> dict[str, dict[str, float]]:
-    """Return the units of stiffness, of damping and of the gain to a force for each kind of drive unit."""
+    """Return the units of stiffness, of damping and of the gain to a force, for each kind of drive unit."""
     factors: dict[str, dict[str, float]] = {}
     for name, drives in DRIVES.items():
         factors[name] = drives
@@ -108,7 +108,7 @@ _WORDS = {
     "amps": "A",
     "percent": "%",
 }
-"""Symbols of unit names that programs write in full."""
+"""Symbols for unit names that programs write in full."""
 
 _SPELLINGS = str.maketrans({"µ": "u", "μ": "u", "°": "deg", "·": "", "*": "", " ": ""})
 
@@ -169,7 +169,7 @@ def quantity_in_si(text: str, quantities: tuple[str, ...], what: str) -> float:
     Raises
     ------
     ParameterError
-        If the text is not a number, or if its unit is unknown or belongs to another quantity.
+        If the text is not a number, or if its unit is unknown or belongs to a different quantity.
 
     Examples
     --------
@@ -193,7 +193,7 @@ _BEFORE_UNIT = re.compile(r"\s*/\s*|_|\s+in\s+")
 
 
 def unit_in_heading(heading: str, quantities: Collection[str]) -> tuple[str, str]:
-    """Split the heading of a column into a name and a unit, which is empty if there is none.
+    """Split the heading of a column into a name and a unit. The unit is empty if there is none.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def unit_in_heading(heading: str, quantities: Collection[str]) -> tuple[str, str
     >>> unit_in_heading("m_1", ("length",)), unit_in_heading("force/torque", ("torque",))
     (('m_1', ''), ('force/torque', ''))
     """
-    # an index as in data[0] is not a unit
+    # an index, as in data[0], is not a unit
     if (match := _IN_BRACKETS.fullmatch(heading)) and not match[2].strip().isdigit():
         return match[1], match[2]
     if find_unit(heading) is None:  # a unit with a slash, such as N/mm, is not split
@@ -222,7 +222,7 @@ def unit_in_heading(heading: str, quantities: Collection[str]) -> tuple[str, str
 
 
 def unit_between(symbol: str, factor: float, tolerance: float) -> str | None:
-    """Return the unit that is `factor` times a given unit within a relative tolerance, or None.
+    """Return the unit that equals `factor` times a given unit within a relative tolerance, or None if there is none.
 
     >>> unit_between("m", 1.1e-3, 0.2)
     'mm'
@@ -247,7 +247,7 @@ def factor_to_si(symbol: str, quantities: tuple[str, ...]) -> float:
     Raises
     ------
     ParameterError
-        If the unit is unknown or belongs to another quantity.
+        If the unit is unknown or belongs to a different quantity.
     """
     unit = find_unit(symbol)
     allowed = [name for name, known in UNITS.items() if known.quantity in quantities]

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 _MINUS = re.compile(r"(?<![\w.\-/])-(?=\d|\.\d)|(?<=\d[eE])-(?=\d)")
-"""A hyphen before a separate number or in an exponent, but not in a name, date or option."""
+"""Pattern of a hyphen before a separate number or in an exponent, but not in a name, date or option."""
 
 _UNITS = r"%|N/m|Nm/rad|Ns/m|Nms/rad|kg|kN/m|samples?|trials?|percentage points|points|ms|mm|s|m|N|Nm|Hz|s⁻¹|rad"
 
@@ -64,12 +64,13 @@ def power_of_ten(exponent: int) -> str:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Join names as in a sentence, such as ``1``, ``1 and 2`` or ``1, 2 and 3``."""
+    """Join names for a sentence, such as ``1``, ``1 and 2`` or ``1, 2 and 3``."""
     return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
 
 
 def commonest(reasons: Iterable[str]) -> str:
-    """Return the most frequent reason that is not empty. If several are equally frequent, return the first of them.
+    """Return the most frequent reason that is not empty. If several reasons are equally frequent, return the first of
+    them.
 
     >>> commonest(["", "b", "a", "a", "b"])
     'b'
@@ -78,7 +79,7 @@ def commonest(reasons: Iterable[str]) -> str:
 
 
 def of_most(reasons: Iterable[str]) -> str:
-    """Return the most frequent reason of the trials as the end of a sentence, or an empty text if there is none.
+    """Return the most frequent reason of the trials as the end of a sentence, or an empty text if there is no reason.
 
     >>> of_most(["", "too short"]), of_most([""])
     ('; most trials: too short', '')
@@ -109,7 +110,7 @@ def percent(share: float, places: int = 0) -> str:
 def true_minus(text: str) -> str:
     """Replace the hyphens before numbers in a sentence by the minus sign U+2212.
 
-    Do not use it for machine-readable text, where numbers keep the hyphen.
+    Do not use this function for machine-readable text, in which numbers keep the hyphen.
     """
     return _MINUS.sub("\N{MINUS SIGN}", text)
 
@@ -134,7 +135,7 @@ def shared_notes(notes: Sequence[str]) -> dict[str, str]:
     Returns
     -------
     dict
-        Merged note by original note.
+        Maps each original note to its merged note.
     """
     alike: dict[str, list[str]] = {}
     for note in dict.fromkeys(notes):

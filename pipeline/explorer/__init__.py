@@ -1,1 +1,1 @@
-"""The explorer is a page with sliders for the theory of a loop. The page itself computes the theory."""
+"""The explorer: a page with sliders for the theory of a loop. The theory is computed in the page itself."""

@@ -1,4 +1,4 @@
-"""Build the initial content of the explorer, which consists of loops and of the measurements on them."""
+"""Build the initial content of the explorer: loops, and measurements on them."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from pipeline.records.models import Device
 from pipeline.records.results import ComparisonResult, ExperimentResult, LoopResult
 
 Entry = JsonObject
-"""Entry of the page's script: ``label``, ``loop``, and measurements (`Entry` in page.mjs)."""
+"""Entry for the script of the page: ``label``, ``loop``, and measurements (`Entry` in page.mjs)."""
 
 _LEFT_OUT = ("sensor", "constant_force", "force_limit")
 """Parts of a loop that the page neither uses nor writes to a device file."""
 
 
 def loop_entries(loop: Loop) -> JsonObject:
-    """Return a loop as the entries of a device file in SI units. Parts that the loop lacks have no entry.
+    """Return a loop as the entries of a device file in SI units. Parts that the loop does not have are omitted.
 
     Examples
     --------
@@ -37,7 +37,7 @@ def loop_entries(loop: Loop) -> JsonObject:
 
 
 def device_entries(devices: Iterable[Device], by: str = "", only: str | None = None) -> list[Entry]:
-    """Return an entry for each experiment of each device. With ``only``, return those of experiments with this name.
+    """Return an entry for each experiment of each device. With ``only``, only experiments with this name are included.
 
     The label of each entry ends with the source of the loop (``by``).
     """
@@ -52,9 +52,9 @@ def device_entries(devices: Iterable[Device], by: str = "", only: str | None = N
 def measured_entries(result: ComparisonResult, only: str | None = None) -> list[Entry]:
     """Return an entry for each experiment of a comparison whose loop is known from its logs or from the device file.
 
-    If ``only`` is given, return only the entry of the experiment of this name.
+    With ``only``, only the experiment with this name is included.
 
-    A drive whose commands are in volts or counts has no entry, because the page uses N or Nm.
+    A device whose commands are in volts or counts has no entry, because the page uses N or Nm.
     """
     if drive_of(result.motion):
         return []
@@ -74,7 +74,7 @@ def measured_entries(result: ComparisonResult, only: str | None = None) -> list[
 
 
 def with_trials(entry: Entry, walls: Sequence[tuple[float, float, bool]]) -> Entry:
-    """Return an entry with trials added. A trial consists of stiffness, damping, and whether it was stable."""
+    """Return an entry with trials added. A trial is given by its stiffness, its damping, and True if it was stable."""
     return {**entry, "trials": [[stiffness, damping, int(stable)] for stiffness, damping, stable in walls]}
 
 
@@ -112,9 +112,8 @@ def _identified_loop(experiment: ExperimentResult, motion: str) -> JsonObject | 
 
 
 def _parts_of(found: LoopResult, experiment: ExperimentResult) -> JsonObject:
-    """Return the velocity filter and the vibration mode of an identified loop.
-
-    Their kinds are those of the loop used for theory.
+    """Return the velocity filter, the vibration mode and the friction of an identified loop. The side of the position
+    sensor is that of the loop used for theory, or the motor side.
     """
     parts: JsonObject = {}
     known = experiment.theory.loop if experiment.theory is not None else None

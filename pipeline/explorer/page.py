@@ -22,13 +22,13 @@ _LEAD = (
 
 
 def module() -> str:
-    """Return the JavaScript module (with ``export``) of the computation. It does not access the page."""
+    """Return the JavaScript module (with ``export``) of the computation. The module does not access the page."""
     return (FOLDER / "loop.mjs").read_text(encoding="utf-8")
 
 
 @cache
 def script() -> str:
-    """Return one script that contains the computation and shows a panel in each element with ``data-explorer``.
+    """Return a script that contains the computation, and shows a panel in each element with ``data-explorer``.
 
     The value of this attribute is the id of the element that contains the entries as JSON (`entries`).
     """
@@ -42,7 +42,7 @@ def script() -> str:
 
 
 def style() -> str:
-    """Return the style sheet of a panel. Its colours are those of the surrounding page."""
+    """Return the style sheet of a panel. The panel has the colours of the surrounding page."""
     return (FOLDER / "explorer.css").read_text(encoding="utf-8")
 
 
@@ -78,7 +78,7 @@ def page(entries: Sequence[Entry]) -> str:
 
 
 def _without_comments(text: str) -> str:
-    """Return a script without its comment lines and indentation. This makes the script a third smaller."""
+    """Return a script without its comment lines and indentation, which makes the script a third smaller."""
     plain = re.sub(r"^\s*/\*\*(?:(?!\*/).)*\*/\s*$", "", text, flags=re.MULTILINE | re.DOTALL)
     lines = (line.strip() for line in plain.splitlines())
     return "\n".join(line for line in lines if line and not line.startswith("//"))

@@ -25,8 +25,8 @@ def test_results_and_errors_come_back():
 @pytest.mark.parametrize(
     ("function", "limits", "words"),
     [
-        ("hang", {"processor_s": 0.3}, "does not come to an end"),
-        ("hang", {"wait_s": 10.0}, "does not come to an end"),
+        ("hang", {"processor_s": 0.3}, "does not end in time"),
+        ("hang", {"wait_s": 10.0}, "does not end in time"),
         ("crash", {}, "crashes .status -11"),
     ],
 )

@@ -174,7 +174,7 @@ def test_what_is_deleted_doubles_no_other_trial(store):
 
 
 def test_one_writer_at_a_time(store):
-    with disk.writing(store), pytest.raises(StoreError, match="writes there"):
+    with disk.writing(store), pytest.raises(StoreError, match="is writing there"):
         exclude(store, ids(store)["2.csv"], WHY, wait_s=0)
     assert read_exclusions(store) == {}
 

@@ -237,7 +237,7 @@ def test_a_second_writer_is_refused_and_readers_are_not(call, logs, tmp_path, mo
         for command in (["ingest", "logs"], ["move", "bench", "other"]):
             status, out, err = call(*command)
             assert (status, out) == (1, "")
-            assert "writes there; waited 60 s" in err
+            assert "is writing there; waited 60 s" in err
         assert call("status")[0] == 0
         assert call("ingest", "logs", "--dry-run")[0] == 0
     assert document(call("ingest", "logs", "--json"))["ingested"] == 1

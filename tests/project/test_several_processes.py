@@ -169,7 +169,8 @@ def test_who_writes_is_named(tmp_path):
     said: list[str] = []
     with disk.writing(processed, 0):
         with pytest.raises(
-            StoreError, match=rf"process {os.getpid()} on .* \(since 20.* writes there; .* again when it has ended"
+            StoreError,
+            match=rf"process {os.getpid()} on .* \(since 20.* is writing there; .* again when the other one has ended",
         ):
             ingest([tmp_path / "a.csv"], processed, wait_s=0.3, say=said.append)
         assert ingest([tmp_path / "a.csv"], processed, dry_run=True).ingested == 1

@@ -35,7 +35,7 @@ def test_limits_grow_with_the_file():
 
 def test_a_worker_that_hangs_or_crashes_costs_only_its_file():
     for function, words in (
-        ("hang", "cannot be read as a file: its library does not come to an end"),
+        ("hang", "cannot be read as a file: its library does not end in time"),
         ("crash", "cannot be read as a file: its library crashes .status -11"),
         ("starve", "needs more memory than a file of its size may use"),
     ):

@@ -76,7 +76,7 @@ def test_records_without_names_and_lists_beside_each_other():
     ("text", "wanted", "records", "words", "row"),
     [
         ("", (), None, "is empty", 1),
-        ('[{"t": 1}, {"t"', (), None, "cut or damaged", 1),
+        ('[{"t": 1}, {"t"', (), None, "truncated or damaged", 1),
         ('[{"t": 1},\n{"t" 2}]', (), None, "column 6", 2),
         ('{"a": [{"t": 1}], "b": {"c": [{"t": 1}, {"t": 2}]}}', ["t"], None, 'help in the profile: records = "b.c"', 1),
         ('{"a": [{"t": 1}]}', (), "b", "'a' .1 records.*`records`", 1),

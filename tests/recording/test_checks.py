@@ -125,7 +125,7 @@ def test_rows_behind_a_travel_stop_are_cut(bounce):
     for motion, (length, velocity) in units.items():
         (finding,) = check_recording(Samples(PERIOD * k, command, x, PERIOD, motion=motion))
         assert f" {length} in row" in finding.sentence
-        assert f" {velocity}: a travel stop." in finding.sentence
+        assert f" {velocity} and stops there, which indicates a travel stop." in finding.sentence
 
 
 def test_a_brake_by_the_command_is_no_travel_stop():

@@ -200,7 +200,7 @@ def test_walls_whose_command_is_that_of_another_row_are_refused(tmp_path, moved)
         lines = [",".join(map(repr, row)) for row in rows]
         logs.append(tmp_path / f"{number}.csv")
         logs[-1].write_text("\n".join([header + "time_s,command,position", *lines, ""]))
-    expected = r"shifted by rows relative to the position|obeys the wall with the position"
+    expected = r"shifted by rows relative to the position|follows the wall law with the position"
     with pytest.raises(ParameterError, match=expected):
         pipeline.identify(logs)
 

@@ -122,13 +122,13 @@ def test_what_is_not_there_is_named(tmp_path, falcon):
     assert pipeline.devices(tmp_path).empty
     assert list(pipeline.experiments(tmp_path).columns) == list(pipeline.experiments(falcon.processed).columns)
     stored = falcon.processed
-    with pytest.raises(DeviceError, match="no trials of device 'lwr'. Devices with trials: falcon"):
+    with pytest.raises(DeviceError, match=r"no trials of device 'lwr'. Devices with trials: falcon"):
         pipeline.trials(stored, "lwr")
-    with pytest.raises(DeviceError, match="experiment '9'. Experiments with trials: 1"):
+    with pytest.raises(DeviceError, match=r"experiment '9'. Experiments with trials: 1"):
         pipeline.trials(stored, "falcon", "9")
     with pytest.raises(UsageError, match="without its device"):
         pipeline.trials(stored, experiment="1")
-    with pytest.raises(DeviceError, match="no logs of experiment '9'. Experiments with trials: 1"):
+    with pytest.raises(DeviceError, match="no logs of experiment '9'; found 1"):
         pipeline.estimates(stored, "falcon", "9")
     with pytest.raises(UsageError, match="no trial 'abc'"):
         pipeline.samples(stored, "abc")
