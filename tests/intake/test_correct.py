@@ -270,7 +270,7 @@ def test_what_is_deleted_lies_in_a_bin_until_that_is_emptied(store):
     assert check(store).damage == ()
     again = ingest([logs], store, jobs=1)
     assert again.ingested == 1
-    assert "deleted by hand" in again.warnings[0].warning
+    assert "deleted manually" in again.warnings[0].warning
     assert [one.trial_id for one in in_bin(store)] == [trial]
     assert ("bench", "9", 2) not in places(store)
     assert empty_bin(store) == 1

@@ -193,7 +193,7 @@ def test_files_that_are_no_logs(logs, run, processed):
     assert counts(report) == (8, 6, 0, 2)
     assert [Path(path).name for path in report.ignored] == ["notes.md"]
     reasons = {Path(r.path).name: r.reason for r in report.quarantined}
-    assert "accepted are" in reasons["table.parquet"]
+    assert "accepted names are" in reasons["table.parquet"]
     assert "native: *.csv" in reasons["table.parquet"]
     assert "cannot be read" in reasons["gone.csv"]
     (logs / "gone.csv").unlink()

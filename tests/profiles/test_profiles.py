@@ -127,7 +127,7 @@ def test_files_of_a_pair_need_the_same_rows(profile_file):
             'unit = "µm"',
             'unit = "count"',
             19,
-            "'count' measures counts; expected length.*give counts_per_unit and the unit",
+            "'count' measures counts; expected length.*state counts_per_unit and the unit",
         ),
         ('unit = "mN"', 'unit = "V"', 1, r"'units.stiffness': missing; the command is in V.*Add stiffness = .*V/m"),
         ("step = 8", "", 21, "key 'constants.step': missing. Add step = <number> to .constants., or"),
@@ -158,7 +158,7 @@ def test_files_of_a_pair_need_the_same_rows(profile_file):
         ('format = "delimited"', "", 1, "key 'format': missing"),
         ('format = "delimited"', 'format = "parquet"', 5, "'delimiter': only for format delimited, found parquet"),
         ('format = "delimited"', 'format = "native"', 3, "'format': a native log contains .*'columns'"),
-        ("(?P<stiffness>", "(?P<mass>", 8, "unknown groups"),
+        ("(?P<stiffness>", "(?P<mass>", 8, "are unknown"),
         ("(?P<stiffness>", "(?P<stiffness>(", 8, "not a valid regular expression"),
         ('decimal = ","', 'decimal = ";"', 6, "key 'decimal'"),
         ('name = "lab"', "name = lab", None, "not valid TOML.*line 2"),
@@ -360,7 +360,7 @@ g = 1 # [no]
 
 
 def test_an_unknown_profile_lists_the_shipped_ones():
-    with pytest.raises(ProfileError, match=r"expected one of .*dfki_pendulum.*native"):
+    with pytest.raises(ProfileError, match=r"Expected one of .*dfki_pendulum.*native"):
         load_profile("nativ")
 
 

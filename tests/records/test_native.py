@@ -92,7 +92,7 @@ def test_a_missing_key_is_named_with_the_line_to_add(key):
         ("3200 ", "nan ", 3, "stiffness must be a finite number.*'nan'"),
         ("3200 ", "3,2 ", 3, "decimal point, but the header has '3,2'"),
         ("3200 ", "3_200 ", 3, "stiffness must be a finite number"),
-        ("3200          [N/m,", "3.2 [N/mm]: ", 3, "given in N/mm.*by 1000"),
+        ("3200          [N/m,", "3.2 [N/mm]: ", 3, "stated in N/mm.*by 1000"),
         ("18 ", "inf ", 4, "damping must be a finite number"),
         ("15 ", "nought ", 5, "step must be a finite number"),
         ("0.001", "0", 6, "sampling_period_s must be above 0"),

@@ -306,7 +306,7 @@ def test_a_store_that_may_only_be_read_is_like_a_folder_that_may(s3, monkeypatch
 @pytest.mark.parametrize("url", ["s3://", "gs://bucket", "http://host/x"])
 def test_other_urls_are_refused(url):
     assert is_url(url)
-    with pytest.raises(UsageError, match=r"Give a folder, or s3://BUCKET/PREFIX"):
+    with pytest.raises(UsageError, match=r"Name a folder, or s3://BUCKET/PREFIX"):
         Objects(url)
 
 

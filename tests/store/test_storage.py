@@ -205,7 +205,7 @@ def test_a_store_of_an_earlier_version_is_told_with_what_rebuilds_it(processed, 
     for file in trials_files(processed):
         pq.write_table(pq.read_table(file).drop_columns(["claims"]), file)
         file.rename(file.with_name(f"{file_hash(file)}.parquet"))
-    words = rf"another version.*pipeline ingest {tmp_path}/logs --processed {processed}-new"
+    words = rf"a different version.*pipeline ingest {tmp_path}/logs --processed {processed}-new"
     with pytest.raises(StoreError, match=words):
         ingest([tmp_path / "logs"], processed)
 
