@@ -77,18 +77,18 @@ CONDITIONS = ("trials", "corrections")
 """Tables of conditions, identity and hashes."""
 
 TERMS = {
-    "adequate": "property of a loop that predicts 95 % of the verdicts of walls outside its fit, and limits to 5 %",
+    "adequate": "property of a loop that predicts 95 % of the verdicts of walls outside its fit, and limits within 5 %",
     "bracket": "the stiffest stable and the softest unstable trial at a damping, between which the limit lies",
     "censored": "property of a number that is only a lower bound, because the tested range ended too early",
     "command edge": "the row of a log in which the command makes the step",
     "cross-validation": "test of a model with trials that were left out of its fit",
     "delay of the applied command": "age of the newest command that has arrived; its mean is the delay of the loop",
     "experiment": "trials of one device in one configuration, with different walls",
-    "identifiable": "property of a number that the logs determine; of other numbers, they determine only a combination",
+    "identifiable": "property of a number whose value can be estimated from the logs",
     "island": "a range of stable walls that is separated from the softer stable ones by unstable walls",
     "jitter": "standard deviation of the delay of the applied command",
     "limit": "largest stable stiffness at a damping; the limits at all dampings form the boundary",
-    "limit cycle": "an oscillation of constant amplitude; as small as the sensor resolution, it counts as stable",
+    "limit cycle": "an oscillation of constant amplitude; it is stable if as small as the sensor resolution",
     "linear condition": "B + b >= K (d + 1/2) T, the straight part of the boundary near the origin (3.25)",
     "operator": "a hand or arm that is rigidly attached to the motor",
     "passive wall": "a wall that is stable with every passive operator (ch. 4)",

@@ -268,7 +268,7 @@ def delete(
     from pipeline.store import corrections as correct
 
     if (trial is None and undo) or (empty and trial is not None):
-        raise UsageError("name the trials to delete (or to restore, with --undo), or give --empty alone.")
+        raise UsageError("name the trials to delete (or to restore, with --undo), or use --empty without a name.")
     if trial is None and not empty:
         found = [one.model_dump(mode="json") for one in _changed(processed, correct.in_bin)]
         console.show({"bin": found}, _listed("in the bin", [_trial(one) for one in found]))
