@@ -164,7 +164,7 @@ def decide(evidence: Evidence, *, replace: bool) -> Decision:
 
 
 def _repeated(evidence: Evidence) -> Decision:
-    """Return the decision on a source whose content is stored, under its own or another path."""
+    """Return the decision on a source whose content is stored, under the same or a different path."""
     source, twin, former = evidence.source, evidence.twin, evidence.former
     if twin is None:
         return Decision("unchanged", "unchanged content")

@@ -117,7 +117,7 @@ class FileColumns:
     values: int = 0
 
     def wants(self, path: str) -> bool:
-        """Return whether a column or one of its elements is requested. The first slash of a path may be omitted."""
+        """Return True if a column or one of its elements is requested. The first slash of a path may be omitted."""
         return not self.wanted or any(_is_part(key, path) for key in self.wanted)
 
     def add(
@@ -352,7 +352,7 @@ def _rises(values: Array) -> bool:
 
 
 def _is_part(column: str, path: str) -> bool:
-    """Return whether a column is at a path or below it. The first slash may be omitted."""
+    """Return True if a column is at a path or below it. The first slash may be omitted."""
     column, path = column.removeprefix("/"), path.removeprefix("/")
     return column == path or column.startswith((f"{path}[", f"{path}."))
 

@@ -201,7 +201,7 @@ def _free_fit(time: Floats, command: Floats, position: Floats) -> tuple[WallGain
 
 
 def _may_follow(time: Floats, command: Floats, position: Floats) -> bool:
-    """Return whether a wall law can be identified from the given rows."""
+    """Return True if a wall law can be identified from the given rows."""
     if len(time) < LEAST_ROWS or not (np.diff(time) > 0).all():
         return False
     return bool(np.ptp(command) and np.ptp(position))

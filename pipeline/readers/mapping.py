@@ -131,7 +131,8 @@ def read_frames(profile: Profile, raw: RawLog) -> list[FileColumns]:
     Raises
     ------
     LogError
-        If a file cannot be read, has another format, lacks a column, or has a time unit that contradicts the profile.
+        If a file cannot be read, has a different format, does not contain a column, or has a time unit that contradicts
+        the profile.
     """
     for name, data in zip(raw.names, raw.data, strict=False):
         refuse_other_kind(name, profile.format, data)
@@ -452,8 +453,8 @@ def conditions_of(
     Raises
     ------
     LogError
-        If the file name, an attribute or a column lacks a condition that the profile reads from it, or a condition is
-        missing.
+        If a condition is missing, or is missing in the file name, the attribute or the column from which the profile
+        reads it.
     """
     name, where = names
     given: dict[str, Scalar] = {}

@@ -37,7 +37,7 @@ class Family:
     floor : str
         Stored column of the apparent cost due to sensor and chatter alone, if there is one.
     whole : bool
-        Whether measured costs are integers.
+        True if measured costs are integers.
     needs : tuple of str
         Stages whose results the stage uses.
     figure : str

@@ -313,11 +313,11 @@ class Shown(Record):
     measuring: Measuring = Measuring()
 
     def has_figure(self, kind: FigureKind) -> bool:
-        """Return whether a figure is requested."""
+        """Return True if a figure is requested."""
         return self.figures is None or kind in self.figures
 
     def has_table(self, name: str) -> bool:
-        """Return whether a table is requested."""
+        """Return True if a table is requested."""
         return self.tables is None or name in self.tables
 
     def has_overlay(self, kind: Overlay) -> bool:

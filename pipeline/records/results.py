@@ -173,7 +173,7 @@ logs."""
 
 
 class Scores(Record):
-    """Scores of theory for an experiment. A missing score is None, and ``missing`` has the reason.
+    """Scores of the theoretical predictions for an experiment. A missing score is None, and ``missing`` has the reason.
 
     The ``basis`` "measured damping" occurs as a second entry if the damping from the logs differs from that of the
     device file.
@@ -794,7 +794,7 @@ def delay_of_logs(factor: Estimate, *, adequate: bool, judged: bool, doubted: bo
     factor : Estimate
         Integer factor, with the fitted delay by the method "model".
     adequate : bool
-        Whether the loop is adequate.
+        True if the loop is adequate.
     judged : bool
         True if the loop was compared with verdicts.
     doubted : bool
@@ -969,7 +969,7 @@ class PairDifference(Record):
 
     @property
     def simulated(self) -> bool:
-        """Whether the logs of either side are simulated."""
+        """True if the logs of either side are simulated."""
         return self.first.simulated or self.second.simulated
 
 

@@ -352,7 +352,7 @@ class Database:
         return bool(self.run("DELETE FROM tokens WHERE substr(hash, 1, 12) = ? RETURNING hash", identifier))
 
     def has_tokens(self) -> bool:
-        """Return whether any token for other computers exists."""
+        """Return True if any token for other computers exists."""
         return bool(self.run("SELECT 1 FROM tokens LIMIT 1"))
 
     def holder_of(self, token: str) -> tuple[Role, str] | None:
@@ -393,7 +393,7 @@ class Database:
         self.run("INSERT INTO audit (time, who, did, what) VALUES (?, ?, ?, ?)", *given)
 
     def has_noted(self, did: str, what: object) -> bool:
-        """Return whether an action with these details is in the audit, by any user."""
+        """Return True if an action with these details, by any user, is in the audit."""
         return bool(self.run("SELECT 1 FROM audit WHERE did = ? AND what = ? LIMIT 1", did, json.dumps(what)))
 
     def audit(self, before: int, limit: int) -> tuple[list[Deed], int | None]:

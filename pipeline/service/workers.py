@@ -101,7 +101,7 @@ class Workers:
 
 
 def _stages(database: Database) -> int:
-    """Return the number of times that verdicts and costs of the whole store were computed."""
+    """Return the number of completed computations of the verdicts and costs of the whole store."""
     return database.job_counts("kind = 'stages'").get("done", 0)
 
 

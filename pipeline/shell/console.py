@@ -202,12 +202,12 @@ def _text(value: object) -> str:
 
 
 def is_answered() -> bool:
-    """Return whether the user can answer questions, because input and stderr are terminals and no JSON is requested."""
+    """Return True if the user can answer questions, because input and stderr are terminals and no JSON is requested."""
     return not _JSON.get() and _is_watched() and sys.stdin is not None and sys.stdin.isatty()
 
 
 def _is_watched() -> bool:
-    """Return whether stderr is a terminal."""
+    """Return True if stderr is a terminal."""
     return sys.stderr is not None and sys.stderr.isatty()
 
 

@@ -62,7 +62,7 @@ class Folder:
         Files that are not logs, such as papers, scripts, settings and pictures.
     sheet : Path or None
     native : bool
-        Whether the logs are native and need no profile.
+        True if the logs are native and need no profile.
     samples : tuple of Sample
         Opened selection of the logs.
     other_layout : tuple of str

@@ -74,7 +74,7 @@ class Verification(Record):
     ----------
     report : str
     equal : bool
-        Whether all numbers agree with the logs, and all logs agree with the report.
+        True if all numbers agree with the logs, and all logs agree with the report.
     checked : dict of str to int
         Number of parts that were compared with the logs or with hashes in the page, by kind.
     differences : tuple of Difference

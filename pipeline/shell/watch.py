@@ -79,8 +79,8 @@ class Watched:
         for folder in self.folders:
             if Path(os.path.abspath(self.reports)).is_relative_to(os.path.abspath(folder)):
                 raise UsageError(
-                    f"{self.reports}: is inside the watched folder {folder}, where reports would be read as logs. Give "
-                    "another folder for reports (--reports), or watch only the folder of the logs."
+                    f"{self.reports}: is inside the watched folder {folder}, where reports would be read as logs. Name "
+                    "a different folder for reports (--reports), or watch only the folder of the logs."
                 )
 
     @property

@@ -50,7 +50,7 @@ the files, so that one repetition is nearly always enough.
 """
 
 _PAUSE_S = 0.02
-"""Pause before another attempt [s]. A writer that removes many files can finish in this time."""
+"""Pause before the next attempt [s]. A writer that removes many files can finish in this time."""
 
 
 def trials_folder(processed: Path, *names: str) -> Path:

@@ -118,7 +118,7 @@ def test_a_device_that_another_force_moves_is_not_predicted(tmp_path):
     found = pipeline.identify(log)
     assert not found.document["loop"]["adequate"]
     said = CliRunner().invoke(application("identify"), ["identify", str(log)])
-    assert "does not explain the motion" in said.output
+    assert "is not explained by the command" in said.output
     mass = found.estimates.set_index("name").loc["mass"]
     assert np.isnan(mass["value"]) or mass["low"] <= MASS <= mass["high"]
 

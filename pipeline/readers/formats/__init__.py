@@ -137,7 +137,7 @@ def refuse_other_kind(name: str, kind: Format, data: bytes) -> None:
     Raises
     ------
     LogError
-        If the file is an archive, a picture, a document, a web page, or a log of another format.
+        If the file is an archive, a picture, a document, a web page, or a log of a different format.
     """
     probe = data[:_PROBE] + data[-_PROBE:]
     if kind == packed_kind(data):

@@ -472,7 +472,7 @@ def _decimal(cells: list[str], layout: Layout) -> None:
 
 
 def _is_head(line: str, width: int, keys: JsonObject) -> bool:
-    """Return whether a line consists of names or units for the given number of columns."""
+    """Return True if a line consists of names or units for the given number of columns."""
     cells = _parted(line, keys["delimiter"])
     if keys.get("trailing_delimiter") and cells and not cells[-1]:
         cells.pop()

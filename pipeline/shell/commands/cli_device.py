@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 _SHOWN = 6
 """Largest number of log names that are printed. The JSON document has all names."""
 
-UNEXPLAINED = "The command alone does not explain the motion: another force acts, or the model lacks a part."
+UNEXPLAINED = "The motion is not explained by the command, because another force acts or the model is incomplete."
 
 DRIVEN = ("positive", "negative", "small", "large")
 """Classes of commands. If the gain of the drive differs between classes, the mass is given for each class."""

@@ -86,7 +86,7 @@ class Reading:
 
     @property
     def options(self) -> str:
-        """Command-line options with which the logs are read in the same way."""
+        """Command-line options that read the logs in the same way."""
         profile = [] if self.file is None else ["--profile", str(self.file)]
         words = [*profile, *(word for name in self.ignored for word in ("--ignore", name))]
         return "".join(f" {shlex.quote(word)}" for word in words)
@@ -298,7 +298,7 @@ def _stored_devices(processed: str, count: int) -> list[str]:
 
 
 def _has_walls(processed: str, device: str) -> bool:
-    """Return whether a device has trials with a wall."""
+    """Return True if a device has trials with a wall."""
     from pipeline.store.objects import opened
     from pipeline.store.storage import read_trials
 

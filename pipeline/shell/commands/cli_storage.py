@@ -34,7 +34,7 @@ def ingest(
     processed: Store = "processed",
     jobs: Annotated[int | None, option("--jobs", "Threads (default: one per processor).")] = None,
     rehash: Annotated[bool, option("--rehash", "Also read logs whose size and time are unchanged.")] = False,
-    replace: Annotated[bool, option("--replace", "Replace stored logs claimed by another profile or device.")] = False,
+    replace: Annotated[bool, option("--replace", "Replace logs stored with a different profile or device.")] = False,
     dry_run: Annotated[bool, option("--dry-run", "Check and report without storing.")] = False,
     ignore: Ignore = None,
 ) -> int:

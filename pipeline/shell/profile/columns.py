@@ -92,7 +92,7 @@ def stated_profile(stated: StatedColumns, paths: Sequence[Path], *, walls: bool 
     paths : sequence of Path
         The logs, or folders that are searched for logs.
     walls : bool
-        Whether conditions and a device name are required, as for storing logs.
+        True if conditions and a device name are required, as for storing logs.
 
     Raises
     ------
