@@ -307,7 +307,9 @@ def _files(
     """Yield the files below a folder, except hidden files and `UNCOUNTED`. Links to folders are not followed."""
 
     def refused(error: OSError) -> None:
-        notices.append((Path(error.filename), f"folder cannot be read ({error.strerror}). Correct its permissions."))
+        notices.append(
+            (Path(error.filename), f"folder cannot be read ({error.strerror}). Correct the permissions of the folder.")
+        )
 
     for here, folders, names in os.walk(folder, onerror=refused):
         shown = [Path(here, name) for name in folders if name[0] != "."]

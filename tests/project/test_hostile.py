@@ -202,7 +202,7 @@ def test_a_folder_that_cannot_be_listed_is_told(logs, monkeypatch):
     told = Notices()
     assert len(find_sources([logs], (), None, told)) == 1
     assert [(folder.name, text) for folder, text in told.folders] == [
-        ("shut", "folder cannot be read (Permission denied). Correct the permissions of the file.")
+        ("shut", "folder cannot be read (Permission denied). Correct the permissions of the folder.")
     ]
 
 

@@ -50,7 +50,7 @@ def start(
     open_report: Annotated[bool, option("--open/--no-open", "Open the report in a browser.")] = True,
     store_only: Annotated[bool, option("--store-only", "Store the logs without comparing or identifying.")] = False,
 ) -> int:
-    """Make a report from a folder of logs, and print the commands that were used.
+    """Make a report from a folder of logs, and print the commands.
 
     The command shows the contents of the folder and a picture of a log, proposes the meaning of each column with the
     evidence, and asks open questions (Enter accepts the proposal). Then it stores the logs, compares walls with theory
