@@ -412,7 +412,7 @@ class _Run:
             self._accept(source, read.sha256, read.result)
         except LogError as error:
             if (other := self._other_reader(source, read.sha256)) and error.code != "profile-wrong":
-                self._skip(source, f"stored by profile {other!r}; the given profile does not read it")
+                self._skip(source, f"already stored by profile {other!r}, and cannot be read by the given profile")
                 return None
             record, former = record_of(source, read.sha256, error), self.refused.get(source.key)
             self._report_refused(source, record)
@@ -421,7 +421,8 @@ class _Run:
         return None
 
     def _other_reader(self, source: Source, sha256: str | None) -> str | None:
-        """Return the name of another profile that has read the same content completely, or None."""
+        """Return the name of a different profile that has completely read the same content, or None if there is
+        none."""
         stored, profile = self.stored.get(source.key), source.profile
         if stored is None or profile is None or self.replace or not stored.whole or stored.sha256 != sha256:
             return None

@@ -185,8 +185,8 @@ def _answers(document: JsonObject, found: Identification) -> Sequence[tuple[str,
         follows = "The device follows" if replay["follows"] else "No device with these parts follows"
         fit, naive = replay["fit_percent"], replay["naive_percent"]
         prediction = (
-            f"{follows} the command: free runs reach a fit of {_percent(fit)} of the velocity of left-out logs "
-            f"(median), and a motion without the command reaches {_percent(naive)}."
+            f"{follows} the command: free runs fit {_percent(fit)} of the velocity of left-out logs (median), and a "
+            f"motion without the command fits {_percent(naive)}."
         )
     limits = document["boundary"]
     walls = f"None is predicted: {loop['reason']}."
@@ -216,7 +216,7 @@ def _answers(document: JsonObject, found: Identification) -> Sequence[tuple[str,
 
 
 def sentences_on_unused(document: JsonObject) -> list[str]:
-    """Return one sentence for each reason why logs are not used, with the first three of them."""
+    """Return a sentence for each reason why logs are not used, naming the first three logs."""
     reasons: dict[str, list[str]] = {}
     for each in document["logs_left_out"]:
         reasons.setdefault(each["reason"], []).append(each["log"])

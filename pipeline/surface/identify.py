@@ -59,8 +59,8 @@ if TYPE_CHECKING:
 DRIFT = "free runs drift because no wall corrects their errors; `pipeline compare` replays the logs with their walls"
 """Remark in a document whose free runs come from logs of walls, because a drift reduces their fit."""
 
-TOO_SHORT = f"A log needs {SHORTEST} rows that can be used."
-"""Reason why a log is not used if it has no other fault."""
+TOO_SHORT = f"The log has fewer than {SHORTEST} usable rows."
+"""Reason for not using a log that has no other fault."""
 
 SHIFTED = (
     "in each log, the command is shifted by rows relative to the position, or the sampling period is wrong, so that "
