@@ -396,7 +396,7 @@ def family_table(kept: Path) -> Iterator[str]:
             tried.append(number)
     yield "\n### Families\n"
     yield (
-        f"The table lists the best of {min(tried)} to {max(tried)} devices of each family. It gives the misfit, and "
+        f"The table lists the best of {min(tried)} to {max(tried)} devices of each family, with its misfit, and "
         "the rms distance of the limits at B = 104 to 160 from the line [kN/m].\n"
     )
     yield "| parts in addition to jitter | " + " | ".join(f"{falcon}: misfit | line" for falcon in FALCONS) + " |"
@@ -471,8 +471,8 @@ def decisive(kept: Path, count: int = 3) -> Iterator[str]:
     """Yield the lines of a table of what further measurements would show of each of the best devices."""
     yield "\n### What would distinguish them\n"
     yield (
-        "The table gives the limit at B = 24 [N/m] for each step (none: above 23,750), the frequency of just unstable "
-        "trials [Hz] for each B, and the scatter of K Δx − F_0 [N].\n"
+        "The table states the limit at B = 24 [N/m] for each step (none: above 23,750), the frequency of "
+        "trials just beyond the limit [Hz] for each B, and the scatter of K Δx − F_0 [N].\n"
     )
     yield "| device | 2 / 8 / 16 N | B = 104 / 128 / 152 | scatter |"
     yield "|---" * 4 + "|"

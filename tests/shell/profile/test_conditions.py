@@ -36,7 +36,7 @@ def test_a_long_table_is_parted_where_its_time_begins_again(call, tmp_path):
     (tmp_path / "bench").mkdir()
     long_table(tmp_path / "bench" / "all.csv")
     text = draft_profile(tmp_path / "bench" / "all.csv")
-    assert 'trial_column = "run" # time restarts where the column changes: 5 trials' in text
+    assert 'trial_column = "run" # time restarts where this column changes: 5 trials' in text
     assert find_questions(text) == []
     status, _, err = call("start", "bench", "--yes", "--store-only")
     assert status == 0, err

@@ -68,7 +68,7 @@ def test_two_devices_at_the_same_time_are_no_trials(tmp_path):
     # the same columns at other times are trials
     document["leg"] = [[row[0] + 7.5, *row[1:]] for row in document["leg"]]
     (tmp_path / "a.json").write_text(json.dumps(document))
-    assert 'trials = "each group" # 2 groups of the same columns: arm, ...' in draft_profile(tmp_path / "a.json")
+    assert 'trials = "each group" # 2 groups have the same columns: arm, ...' in draft_profile(tmp_path / "a.json")
 
 
 @pytest.mark.parametrize("reference", ["desired", "x_ref", "Soll"])
