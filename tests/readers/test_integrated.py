@@ -133,7 +133,7 @@ def test_over_lost_rows_no_position_is_known(tmp_path, rule):
         (
             "columns.command",
             'columns.velocity = {name = "omega", unit = "deg/s", sign = 1}\ncolumns.command',
-            "kept as velocity",
+            "stored as the velocity",
         ),
         ('sign = 1}\ncolumns.position', 'sign = 1, integrate = "difference"}\ncolumns.position', "integrate"),
     ],

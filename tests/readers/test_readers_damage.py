@@ -23,7 +23,7 @@ from pipeline.readers.isolation import isolated
     "data", [b"", b"\0", b"\0" * 5000, b"time_s,command,position\n0,0,0\n", b"PK\x03\x04" + b"\0" * 600]
 )
 def test_files_of_another_kind_are_refused(form, data):
-    with pytest.raises(LogError, match=r"^log: .*(expected|cut|Correct|Record|Repair)"):
+    with pytest.raises(LogError, match=r"^log: .*(expected|truncated|Correct|Record|Repair)"):
         read_frame(form, "log", data, ["t"])
 
 
