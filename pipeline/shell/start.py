@@ -301,7 +301,7 @@ def _from_names(samples: Sequence[Sample], laws: Mapping[str, WallLaw], known: s
             found.pop(f"constants.{key}", None)
             used.add(word)
             pattern = with_group(pattern, words, word, key)
-            found[f"units.{key}"] = Answer(unit, f"{word!r} in the names, in {len(names)}, agrees with {unit} commands")
+            found[f"units.{key}"] = Answer(unit, f"{word!r} in the names, in {unit}, agrees with {len(names)} commands")
             break
     if pattern is not None:
         found["name_pattern"] = Answer(pattern, "numbers after words in the file names")
