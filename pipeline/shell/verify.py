@@ -377,7 +377,7 @@ def read_document(report: Path) -> tuple[ComparisonResult | None, list[str]]:
     try:
         return ComparisonResult.model_validate_json(path.read_bytes()), []
     except FileNotFoundError:
-        return None, [f"{path}: the file is missing, so only the page was checked"]
+        return None, [f"{path}: the file is missing; only the page was checked"]
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])

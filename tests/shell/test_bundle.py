@@ -150,7 +150,7 @@ def test_another_device_file_is_named_before_what_differs_with_it(bench, tmp_pat
 def test_what_a_bundle_needs_and_is_not_there_is_named(bench, tmp_path, monkeypatch):
     monkeypatch.setenv("PIPELINE_DEVICES", str(bench.devices))
     lone = Path(shutil.copy(bench.report, tmp_path / "lone.html"))
-    with pytest.raises(UsageError, match=r"lone.json: missing.*A bundle needs it"):
+    with pytest.raises(UsageError, match=r"lone.json: the file is missing.*A bundle needs this document"):
         bundle(lone)
     shutil.copy(bench.report.with_suffix(".json"), tmp_path / "lone.json")
     shutil.copytree(bench.folder / "processed", tmp_path / "processed")
