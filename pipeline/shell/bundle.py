@@ -64,7 +64,9 @@ def bundle(report: Path) -> Bundle:
     _, _, request = read_report(report)
     document, notes = read_document(report)
     if document is None:
-        raise UsageError(f"{notes[0]}. A bundle needs this document. Write the report again, or add its document to its folder.")
+        raise UsageError(
+            f"{notes[0]}. A bundle needs this document. Write the report again, or add its document to its folder."
+        )
     device, lists = request.scene.device, {logs.experiment: logs for logs in document.logs}
     files = {report.name: report, f"{report.stem}.json": report.with_suffix(".json")}
     if request.device_file:
