@@ -195,7 +195,7 @@ def test_every_surface_names_jitter(jittering: Path, call, monkeypatch: pytest.M
 
 @pytest.mark.parametrize(("stated", "drawn"), [(1, [6, 7, 8]), (9, [6, 7, 8]), (2.9, [3, 4]), (0, [1])])
 def test_a_delay_outside_of_its_jitter_is_refused(tmp_path: Path, stated: float, drawn: list[int]) -> None:
-    with pytest.raises(DeviceError, match=rf"delay_samples \({stated:g}\) lies outside of jitter_samples"):
+    with pytest.raises(DeviceError, match=rf"delay_samples \({stated:g}\) is outside the range of jitter_samples"):
         read_device(written(tmp_path, delay_samples=stated, jitter_samples=drawn))
 
 

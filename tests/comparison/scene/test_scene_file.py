@@ -133,7 +133,7 @@ def test_a_settling_scene_has_its_figures_and_tables_and_no_empty_section(settli
     tables = {name.split("/")[0] for name in take_apart(page).cells}
     assert {"D.1", "boundary"} <= tables <= {"D.1", "boundary", "missing", "stages", "provenance", "accuracy"}
     assert {row.criterion for row in outcome.result.tables} == {"settle_2pct"}
-    assert figures_of(page) == ["boundaries-answer", "D-1-settle_2pct"]
+    assert figures_of(page) == ["boundaries-answer", "boundaries-sensitivity", "D-1-settle_2pct"]
     for section in re.findall(r"<section\b[^>]*>(.*?)(?=<section\b|</main>)", page, re.DOTALL):
         content = re.sub(r"<h\d[^>]*>.*?</h\d>|</section>", "", section, flags=re.DOTALL)
         if "<section" not in section and "<h2>" in section and "<h3>" not in section:
@@ -164,7 +164,8 @@ def test_what_the_scene_leaves_out_is_not_computed(falcon, tmp_path, monkeypatch
     only = Shown(figures=("boundaries",), tables=("boundary",), overlays=())
     compare("falcon", tmp_path / "p", criteria=["settle_2pct"], report=tmp_path / "r.html", shown=only)
     assert asked == [], "no table and no map asks for an optimum"
-    assert figures_of((tmp_path / "r.html").read_text(encoding="utf-8")) == ["boundaries-answer"]
+    drawn = figures_of((tmp_path / "r.html").read_text(encoding="utf-8"))
+    assert drawn == ["boundaries-answer", "boundaries-sensitivity"]
 
 
 def test_dry_run_tells_of_figures_and_tables(falcon, tmp_path):
