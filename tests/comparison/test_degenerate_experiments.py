@@ -286,7 +286,7 @@ def test_a_comparison_of_devices_names_the_true_reason(tmp_path):
     for name, rows in (("A", 200), ("C", 4)):
         write_logs(tmp_path / "raw", trials([300.0, 900.0], 10.0, rows=rows, edge_row=1), device=name, prefix=name)
     compared(tmp_path / "raw", tmp_path / "processed", device="A")
-    with pytest.raises(Exception, match=r"device 'C'.*The log has 4 rows; a model requires at least 8"):
+    with pytest.raises(Exception, match=r"device 'C'.*The log has 4 rows, but a model requires at least 8"):
         against_experiments(tmp_path / "processed", ("A", "1"), ("C", "1"))
 
 

@@ -128,7 +128,7 @@ def logs_with(code, folder, *, rotating=False):
     """Write the logs of a fault, natively and for the profile of a lab; return both folders."""
     folder.mkdir(exist_ok=True)
     native, plain, period = folder / "logs", folder / "lab", STATED.get(code, 0.001)
-    motion = {"motion": "rotation"} if rotating or code in ROTATING else {}
+    motion = {"motion": "rotation" if rotating or code in ROTATING else "translation"}
     native.mkdir()
     plain.mkdir()
     for i, (K, B) in enumerate(WALLS):
