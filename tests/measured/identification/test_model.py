@@ -460,9 +460,11 @@ def test_a_mode_is_found_behind_walls():
     damper = 2 * 0.03 * 2 * np.pi * 40 * far * near / (far + near)
     load = {"load_mass": far, "spring": spring, "spring_damping": damper}
     found = identified(behind_walls(np.random.default_rng(17), {"mass": near + far, "damping": 4.0}, load))
-    assert set(found.parts) == {"mode"}
-    truth = {"mass": 0.6, "mode.frequency_hz": 40.0, "mode.mass": far, "mode.damping_ratio": 0.03}
+    assert {name for name, gain in found.parts.items() if gain > 0} == {"mode"}
+    truth = {"mass": 0.6, "mode.frequency_hz": 40.0, "mode.mass": far}
     assert {name: found.parameters[name].value for name in truth} == pytest.approx(truth, rel=0.02)
+    # the damping of the load is unknown, so that of the spring is, too
+    assert holds(found.parameters, truth | {"mode.damping_ratio": 0.03, "mode.load_damping": 0.0}) == []
 
 
 @pytest.mark.slow
