@@ -41,6 +41,10 @@ STABLE_ABOVE = "Here, a single stable trial lies above the limit: near it, the v
 UNDECIDED_BELOW = "A trial below it is undecided: look at it, or repeat it."
 
 
+REGION = "over the tested dampings, the measured region is"
+"""Beginning of a sentence on the size of a region. Areas beyond the tested dampings are not compared."""
+
+
 def boundary_table(rows: Sequence[Row], units: Any, trials: TrialPage) -> Table | None:
     """Return the measured limits at each damping."""
 
@@ -334,7 +338,8 @@ def region_sentence(result: ExperimentNumbers) -> str:
         return ""
     percent = 100 * (region.area_ratio - 1)
     size = f"{'smaller' if percent < 0 else 'larger'} than theory's"
-    whole = f"Experiment {result.experiment}: the measured region is {size_text(percent)} {size}"
+    where = f"Experiment {result.experiment}: {REGION}"
+    whole = f"{where} {size_text(percent)} {size}"
     if reason := _no_causes(result):
         return f"{whole}. The cause is unknown: {reason}."
     causes = result.region_causes
@@ -370,7 +375,7 @@ def _equal_regions(results: Sequence[ExperimentNumbers]) -> str | None:
     if not same:
         return None
     where = experiments_text(same, len(results))
-    return f"{where}: the measured region is as large as theory's, within its interval or 2 %."
+    return f"{where}: {REGION} as large as theory's, within its interval or 2 %."
 
 
 def experiments_text(names: Sequence[str], count: int) -> str:
