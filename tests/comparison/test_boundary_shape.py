@@ -101,6 +101,17 @@ def test_a_straight_upper_part_is_found_and_excludes_the_curvature_of_theory():
     assert curved.curvature == pytest.approx(curved.curvature_theory, rel=1e-6)
 
 
+def test_a_few_precise_limits_of_a_curve_do_not_lead_its_line_past_the_others():
+    damping = np.linspace(90.0, 160.0, 15)
+    limits = 15_000 - 3.0 * (damping - 90) ** 2
+    error = np.where(damping < 110, 5.0, 200.0)
+    found = straight_bound(result_of(damping, limits, error), None)
+    slope, stiffness = np.polyfit(damping, limits, 1)
+    assert found.slope == pytest.approx(slope, rel=0.02)
+    assert found.stiffness == pytest.approx(stiffness, rel=0.02)
+    assert found.slope_low < slope < found.slope_high
+
+
 def test_curvatures_are_compared_where_theory_has_a_stable_wall():
     """Numpy's own fit at the common dampings is the second method. The limits go on where those of theory end."""
     damping = np.linspace(130.0, 205.0, 6)

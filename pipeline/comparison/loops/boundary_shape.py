@@ -193,8 +193,8 @@ def straight_bound(result: MeasuredExperiment, basis: LoopBasis | None) -> Strai
 
     Notes
     -----
-    The line is K <= stiffness + slope B (6.5), by least squares weighted by the intervals of the limits. The confidence
-    intervals include the scatter about the line. The curvature is half the second derivative of a parabola through the
+    The line is K <= stiffness + slope B (6.5), by least squares weighted by the intervals of the limits and by their
+    scatter about the line. The curvature is half the second derivative of a parabola through the
     same limits. It is compared with theory at the dampings where theory has a stable wall.
     """
     limits = _limits(result)
@@ -236,10 +236,26 @@ def _curvature(upper: _Limits, theory: Floats | None) -> dict[str, float]:
 
 def _polynomial(limits: _Limits, stiffness: Floats, degree: int) -> tuple[Floats, Floats]:
     """Return the coefficients of a polynomial over damping, the constant first, and the half widths of 95 %
-    intervals."""
-    found, known = np.polyfit(limits.damping, stiffness, degree, w=1 / limits.error, cov="unscaled")
-    rest = (stiffness - np.polyval(found, limits.damping)) / limits.error
+    intervals.
+
+    If the limits scatter more than their errors, a common variance is added to the squared errors, with which chi^2
+    equals its expectation. Otherwise a few precise limits would determine a line that the others miss.
+
+    Source: Paule and Mandel 1982, "Consensus values and weighting factors".
+    """
     freedom = len(limits) - degree - 1
-    scatter = float(rest @ rest) / freedom
-    factor = NORMAL_95 if scatter <= 1 else float(student_95(freedom)) * np.sqrt(scatter)
+
+    def fit(extra: float) -> tuple[Floats, Floats, float]:
+        error = np.sqrt(limits.error**2 + extra)
+        found, known = np.polyfit(limits.damping, stiffness, degree, w=1 / error, cov="unscaled")
+        rest = (stiffness - np.polyval(found, limits.damping)) / error
+        return found, known, float(rest @ rest) / freedom
+
+    extra, most = 0.0, len(limits) * float(np.ptp(stiffness)) ** 2
+    if fit(0.0)[2] > 1 and most > 0:
+        from scipy.optimize import brentq
+
+        extra = float(brentq(lambda variance: fit(variance)[2] - 1, 0.0, most))
+    found, known, _ = fit(extra)
+    factor = NORMAL_95 if not extra else float(student_95(freedom))
     return found[::-1], factor * np.sqrt(known.diagonal()[::-1])
