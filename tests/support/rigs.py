@@ -224,7 +224,7 @@ def look_for_best(rig: Rig) -> FoundBest:
     """Run a search for the best settling time."""
     wish = PlanOptions(goal="optimum", criterion=CRITERION)
     while True:
-        answer = plan_of(rig.course(costs=True), wish)
+        answer = plan_of(rig.campaign(costs=True), wish)
         if answer.done or answer.trials_used >= MOST_TRIALS_OF_BEST:
             break
         rig.measure(answer.next[0].stiffness, answer.next[0].damping)
