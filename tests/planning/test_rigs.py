@@ -87,5 +87,6 @@ def test_a_limit_without_a_stable_wall_is_none_in_words_as_in_json():
 def test_limits_with_friction_are_said_to_be_those_of_the_step(tmp_path: Path) -> None:
     device = load_device("falcon-real")
     lab = make_lab(tmp_path, device, ("1",), coarsen=10, seed=3)
-    (said,) = [remark for remark in plan("falcon-real", lab.processed, "1").remarks if "larger steps are unstable" in remark]
+    remarks = plan("falcon-real", lab.processed, "1").remarks
+    (said,) = [remark for remark in remarks if "larger steps are unstable" in remark]
     assert f"steps of {device.step:g} N" in said

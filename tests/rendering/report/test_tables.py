@@ -549,7 +549,8 @@ def test_a_region_as_large_as_that_of_theory_needs_no_cause(result: ComparisonRe
     same = smaller(result, 0.97, FILTERED)
     assert region_sentence(same) == region_sentence(smaller(result, 0.99, FILTERED, half=0.001)) == ""
     (table,) = tables_of(result.model_copy(update={"experiments": (same,)}))["regions"]
-    assert table.notes == ["Experiment 0: over the tested dampings, the measured region is as large as theory's, within its interval or 2 %."]
+    where = "Experiment 0: over the tested dampings, the measured region is"
+    assert table.notes == [f"{where} as large as theory's, within its interval or 2 %."]
     cells = {cell.name: cell.text for cell in table.rows[0]}
     assert (cells["measured"], cells["velocity_filter"], cells["together"]) == ("−3.0", "−30.0", "−38.0")
     assert tables_of(result)["regions"] == []
