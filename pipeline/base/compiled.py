@@ -100,7 +100,7 @@ def part(function: F) -> F:
 
 
 def load_compiled(*modules: str) -> None:
-    """Load or compile all compiled functions of the given modules or packages, as far as these are imported.
+    """Load or compile all compiled functions of the given modules or packages that have been imported.
 
     By default, all functions are loaded. This function is called before a pool starts, so that one process compiles the
     functions and the workers load them.

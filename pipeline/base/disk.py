@@ -276,7 +276,8 @@ WAIT_S = 60.0
 starts together both succeed, and a command that does not end is reported within a minute."""
 
 _GRACE_S = 0.05
-"""Time for which a command waits without a message [s], and in which most writers end."""
+"""Longest time [s] that a command waits for the lock without a message. Most other commands finish writing within this
+time."""
 
 _LONGEST_NOTE = 4096
 """Number of bytes that are read from a lock file. Its note has about 100."""

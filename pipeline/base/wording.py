@@ -46,7 +46,7 @@ def duration(seconds: float) -> str:
 
 
 def error_text(error: float | None) -> str:
-    """Return the order of magnitude of an error, such as ``3·10⁻⁹``."""
+    """Return an error rounded to one significant digit, such as ``3·10⁻⁹``."""
     if error is None:
         return "no number"
     if error == 0:

@@ -66,8 +66,8 @@ USUAL_SHARES, USUAL_SHARE = {"response": 6.0, "parts": 12.0}, 0.5
 def nominal_theories(data: StoredData) -> dict[str, Theory]:
     """Return the theory based on the device file for each of its experiments.
 
-    All experiments are included, because a table may use parameters of another experiment. There is no theory if the
-    delay exceeds the range of theory, or if no wall stabilises the loop.
+    All experiments of the file are considered, because a table may use parameters of another experiment. An experiment
+    is omitted if its delay exceeds the largest delay that the theory covers, or if no wall stabilises its loop.
     """
     if data.device is None:
         return {}

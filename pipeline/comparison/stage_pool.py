@@ -41,8 +41,8 @@ COMPILED = ("pipeline.measured", "pipeline.loop.free_run")
 
 LARGE = 1000
 """Smallest number of new trials for which an experiment is shared between two processes, and number of further trials
-for each further process. They take about 3 s, and starting a process takes 1 s of processor time. For 2,220 trials, a
-second process saves 3 s of waiting and costs 2 s of processor time."""
+for each further process. A thousand trials take about 3 s, and starting a process takes 1 s of processor time. For
+2,220 trials, a second process saves 3 s of waiting and costs 2 s of processor time."""
 
 
 def compute_stages(experiments: Collection[ExperimentStages], needed: Collection[str]) -> None:

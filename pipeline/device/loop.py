@@ -363,7 +363,7 @@ _KINDS = ("difference", "butterworth", "coefficients", "kalman", "foaw", "levant
 
 
 def as_number(value: float) -> float:
-    """Convert a number to a float, which is infinite for an integer beyond the range of floats."""
+    """Convert a number to a float, or to infinity if it is an integer too large for a float."""
     try:
         return float(value)
     except OverflowError:

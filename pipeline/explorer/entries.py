@@ -74,7 +74,7 @@ def measured_entries(result: ComparisonResult, only: str | None = None) -> list[
 
 
 def with_trials(entry: Entry, walls: Sequence[tuple[float, float, bool]]) -> Entry:
-    """Return an entry with trials added. A trial is given by its stiffness, its damping, and True if it was stable."""
+    """Return an entry with trials added. A trial is a tuple (stiffness, damping, stable)."""
     return {**entry, "trials": [[stiffness, damping, int(stable)] for stiffness, damping, stable in walls]}
 
 

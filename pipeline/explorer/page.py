@@ -17,7 +17,7 @@ _TITLE, _ENTRIES = "Explore a haptic loop", "explorer-entries"
 
 _LEAD = (
     "Move a slider, or drag the wall in the plane. The theory is exact for the linear loop of device, delay, filter "
-    "and wall, and is computed in this page. The address of the page contains your settings."
+    "and wall. It is computed on this page. The address of the page contains your settings."
 )
 
 

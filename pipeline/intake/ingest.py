@@ -345,7 +345,7 @@ class _Run:
                 self.damaged[folder] = str(error)
 
     def report(self, folders: Sequence[Path]) -> IngestReport:
-        """Return the report on all sources, and on the stored sources that are missing in the searched folders."""
+        """Return the report on all sources, and on the stored sources that are missing from the searched folders."""
         roots = tuple(os.path.join(path_text(os.path.abspath(folder)), "") for folder in folders if folder.is_dir())
         missing = [key for key in self.missing if key.startswith(roots)]
         # Unreadable files are reported elsewhere, and count as existing. A folder at the path of a log does not count
@@ -421,8 +421,7 @@ class _Run:
         return None
 
     def _other_reader(self, source: Source, sha256: str | None) -> str | None:
-        """Return the name of a different profile that has completely read the same content, or None if there is
-        none."""
+        """Return the name of another profile with which the same content was stored completely, or None."""
         stored, profile = self.stored.get(source.key), source.profile
         if stored is None or profile is None or self.replace or not stored.whole or stored.sha256 != sha256:
             return None

@@ -326,7 +326,8 @@ def _files(
 
 
 def _state(path: str) -> tuple[int, int] | None:
-    """Return the size and the time of a path. For a link, these are the size and the time of the link itself."""
+    """Return the size and the modification time of the file at a path. For a link, they are those of the link
+    itself."""
     with suppress(OSError):
         status = os.lstat(path)
         return status.st_size, status.st_mtime_ns

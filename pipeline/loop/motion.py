@@ -148,8 +148,8 @@ class FrictionalMotion:
 def _of_motor_and_load(plant: Plant) -> StateSpace:
     """Return the state space in coordinates of motor and load. (`state_space` uses the centre of mass.)
 
-    The motor is at x_1 = c - (m_2/m_1) y, and the load at x_2 = c + y. With the share s of the load in the mass,
-    c = (1 - s) x_1 + s x_2 and y = (1 - s)(x_2 - x_1).
+    The motor is at x_1 = c - (m_2/m_1) y, and the load at x_2 = c + y. Let s = m_2/m be the fraction of the mass that
+    belongs to the load. Then c = (1 - s) x_1 + s x_2 and y = (1 - s)(x_2 - x_1).
     """
     linear = state_space(plant)
     if not plant.has_mode:

@@ -1,4 +1,4 @@
-"""Search for the goal `boundary`.
+"""Search strategy for the goal `boundary`.
 
 The search selects walls to try until two verdicts bracket the limit at each damping closely enough.
 """

@@ -535,7 +535,7 @@ def problems_of(columns: Columns, motion: Motion, gain: Gain | None = None) -> I
         yield from ((("columns", key, part), words) for part, words in _source_problems(key, source, motion, gain))
         other = taken.setdefault((source.file, source.key), key) if source.in_file else key
         if other != key:
-            text = f"{source.key!r} is also columns.{other}; expected a different column"
+            text = f"{source.key!r} is already used for columns.{other}. Choose a different column"
             if "velocity" in (key, other) and columns.position is not None and columns.position.integrate:
                 text = (
                     f"{source.key!r} is already columns.position, which is integrated, and its values are stored as "
@@ -572,7 +572,7 @@ def _source_problems(key: str, source: Source, motion: Motion, gain: Gain | None
         hint = "; for counts, state counts_per_unit and the unit" if source.unit in ("count", "counts") else ""
         unit = find_unit(source.unit)
         if key == "position" and unit is not None and unit.quantity in QUANTITIES["velocity"].values():
-            hint = '; a velocity is integrated with integrate = "difference" (encoder) or "trapezoid"'
+            hint = '; to use a velocity, set integrate = "difference" (encoder) or "trapezoid"'
         if key == "command" and not drive_in(source):
             hint = f"{hint}; for a drive, use one of {[symbol for units in DRIVES.values() for symbol in units]}"
         at = "stands_for" if getattr(source, "stands_for", None) else "unit"

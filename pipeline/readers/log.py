@@ -54,7 +54,7 @@ few outliers do not change the range.
 """
 
 LONGEST_PAUSE = 1e6
-"""Largest ratio of the longest time between two rows to the sampling period, and largest inverse of this ratio.
+"""Largest factor by which the longest time between two rows may exceed the sampling period or fall below it.
 
 A response sampled at 1 kHz has no pause of minutes, and rows at intervals of 1 ms have no sampling period of minutes.
 """
@@ -194,10 +194,10 @@ def check_samples(
     for name in OF_WALL:
         if abs(value := getattr(header, name)) > LARGEST_CONDITION:
             expected = f"at most {LARGEST_CONDITION:g} [SI]"
-            raise refusal("out-of-range", "", f"{name} is {value:.6g}", expected, "Correct its number or unit.")
+            raise refusal("out-of-range", "", f"{name} is {value:.6g}", expected, "Correct the value or its unit.")
         if 0 < abs(value) < SMALLEST_CONDITION:
             expected = f"0, or at least {SMALLEST_CONDITION:g} [SI]"
-            raise refusal("out-of-range", "", f"{name} is {value:.6g}", expected, "Correct its number or unit.")
+            raise refusal("out-of-range", "", f"{name} is {value:.6g}", expected, "Correct the value or its unit.")
     columns = {"time": time, "command": command, "position": position, "force": force, "velocity": velocity}
     travel = abs(header.step) / header.stiffness if header.stiffness > 0 else 0.0
     for name, values in columns.items():
@@ -228,7 +228,7 @@ def check_samples(
         raise refused("time-wrong", at, f"{found}. The two are incompatible")
     if not PERIODS[0] <= header.sampling_period_s <= PERIODS[1]:
         found, expected = f"sampling_period_s is {header.sampling_period_s:.6g}", "{:g} to {:g} s".format(*PERIODS)
-        raise refusal("out-of-range", "", found, expected, "Correct its number or unit.")
+        raise refusal("out-of-range", "", found, expected, "Correct the value or its unit.")
     rule = False if unwrap is None and not is_rotation(header.motion or "rotation") else unwrap
     position, wrapped = unwrapped(position, rule)
     return Log(header, time, command, position, force, velocity, noted=() if wrapped is None else (wrapped,))

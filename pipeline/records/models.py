@@ -68,7 +68,7 @@ class Experiment(Record):
             if info.context == STATED and not low <= self.delay_samples <= high:
                 raise ValueError(
                     f"delay_samples ({self.delay_samples:g}) is outside the range of jitter_samples, {low:g} to "
-                    f"{high:g}. State the mean of jitter_samples, or omit them"
+                    f"{high:g}. Set delay_samples to the mean of jitter_samples, or omit it"
                 )
             # The frozen record is still under construction.
             object.__setattr__(self, "delay_samples", sum(self.jitter_samples) / len(self.jitter_samples))

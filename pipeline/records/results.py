@@ -101,10 +101,11 @@ class DistanceScore(Record):
     is the number of censored dampings at which theory is below the end of the tested range. The distance at these
     dampings is a lower bound. ``open`` is the number of censored dampings at which theory is above this end. These
     dampings are left out, because the distance is unknown. ``bounded`` is the number of dampings whose limit has bounds
-    on both sides, or a lower bound above theory. At ``agreeing`` of these, theory lies in the interval of the limit or
-    within 2 % of it. At ``above`` of these, the limit lies above theory. ``largest`` is taken over the bounded dampings
-    if there are any. The median is ``steady`` if it does not depend on any single limit. ``apart`` contains the
-    dampings at which most bounded limits disagree with theory, as in `Prediction`.
+    on both sides, or a lower bound above theory. At ``agreeing`` of these, theory lies in the interval of the limit, or
+    outside the interval by at most 2 % of the theoretical limit. At ``above`` of these, the limit lies above theory.
+    ``largest`` is taken over the bounded dampings if there are any. The median is ``steady`` if it does not depend on
+    any single limit. ``apart`` contains the dampings at which most bounded limits disagree with theory, as in
+    `Prediction`.
     """
 
     median: float

@@ -1,8 +1,8 @@
 """Parquet files of the stored tables, which are checked against the dictionary of columns (`tables`).
 
-Writing adds units and meanings to the metadata of a file. Reading refuses a file that is damaged or has different
-columns or types. The name of a file contains the SHA-256 of its content. This hash is checked when the complete file is
-read. When only a part is read, the page checksums of Parquet are checked instead.
+Units and meanings are added to the metadata of a file when it is written. A file that is damaged, or has different
+columns or types, is refused when it is read. The name of a file contains the SHA-256 of its content. This hash is
+checked when the complete file is read. When only a part is read, the page checksums of Parquet are checked instead.
 """
 
 from __future__ import annotations

@@ -35,8 +35,7 @@ _EDGE = 5
 half the sampling rate."""
 
 _TOP_LOOKS = 8
-"""Largest number of evaluations in the search for a maximum between three points, of which the middle point is the
-best."""
+"""Largest number of golden-section evaluations in the search for a bracketed maximum."""
 
 _GOLDEN = 0.5 * (3 - math.sqrt(5))
 """Fraction at which a golden-section search divides the larger part of an interval."""

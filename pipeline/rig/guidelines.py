@@ -28,7 +28,7 @@ USUAL_ARM = "Tsuji et al."
 
 @dataclass(frozen=True)
 class Influence:
-    """Value of a parameter of a hand [SI units], and the resulting change of the largest stable K in percent."""
+    """Value of a parameter of a hand [SI units], and the resulting change in the largest stable K in percent."""
 
     name: str
     value: float
@@ -42,11 +42,11 @@ class Guidelines:
     Parameters
     ----------
     delay_percent : float or None
-        Change of the largest stable K if the delay is one sample shorter. It is None if the delay is below one sample.
+        Change in the largest stable K if the delay is one sample shorter. It is None if the delay is below one sample.
     sampling_percent : float
-        Change of the largest stable K if the sampling period is halved and the delay in seconds is unchanged.
+        Change in the largest stable K if the sampling period is halved and the delay in seconds is unchanged.
     damping_percent : float
-        Change of the largest stable K if the device has no damping.
+        Change in the largest stable K if the device has no damping.
     hand : tuple of Influence
         Changes due to the mass, the damping and the stiffness of a hand, each added separately. The tuple is empty for
         a rotation, because no arms are tabulated for rotations.
@@ -99,7 +99,7 @@ class Guidelines:
 
 
 def guidelines(loop: Loop) -> Guidelines:
-    """Return the effects of changes of a rig on its stiffest wall.
+    """Return the effects of changes to a rig on its stiffest wall.
 
     Parameters
     ----------

@@ -237,7 +237,7 @@ def _room_of_stable(rig: Loop, wish: DesignTarget, walls: Floats, above: float) 
 
 
 def _room_of_unstable(rig: Loop, wish: DesignTarget, walls: Floats) -> Floats:
-    """Compute the margins of walls for a rig if no wall is stable for all rigs, shape (n,)."""
+    """Compute the margin of each wall for a rig, shape (n,). It is used if no wall is stable for all rigs."""
     alpha, beta = walls.T / [[rig.units.stiffness], [rig.units.damping]]
     with np.errstate(divide="ignore"):
         left = -np.log(spectral_radius(rig.normalised_loop, wish.margin * alpha, beta))

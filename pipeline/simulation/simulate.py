@@ -32,7 +32,8 @@ MOST_DELAYS, MOST_ALIKE = 9, 8
 The standard deviation of the applied delay is then 1.6 samples."""
 
 START_MARGIN = 1.1
-"""Smallest ratio of the travel limit to the distance of the start, so that noise does not end a trial at its start."""
+"""Smallest travel limit, relative to the distance of the starting position from the centre, so that noise does not end
+a trial immediately."""
 
 
 def simulate(
@@ -211,7 +212,7 @@ def delays_of(age: float, jitter: float) -> tuple[int, ...]:
 
 @cache
 def _drawn() -> tuple[list[tuple[int, ...]], Floats, Floats]:
-    """List candidate sets of delays from 0 on, with the mean and the deviation of each applied delay.
+    """List candidate sets of delays starting at 0, with the mean and standard deviation of the delay of each set.
 
     One delay of a set may occur up to `MOST_ALIKE` times.
     """

@@ -17,8 +17,8 @@ _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d) *(\.|$)", re.IGNORECASE)
 """Pattern of names that Windows reserves for its devices, with or without an extension."""
 
 _OWN_PAGES = ("index", "accuracy", "theory")
-"""Names of other pages in the folder of reports, written by `pipeline watch`, `pipeline accuracy`, and `theory` in
-former versions."""
+"""Names of other pages in the folder of reports, written by `pipeline watch`, `pipeline accuracy` and, in earlier
+versions, `pipeline theory`."""
 
 _AGAINST = "-against"
 """Part of the name of a page that compares two experiments, or two versions of a report."""

@@ -36,7 +36,7 @@ _FILES = b"pipeline.files"
 
 
 class FileRows(NamedTuple):
-    """Columns of the rows of a trial file, and the stems of the files that it replaces, separated by spaces."""
+    """Rows of a trial file (selected columns), and the stems of the files that it replaces, separated by spaces."""
 
     table: pa.Table
     replaces: str

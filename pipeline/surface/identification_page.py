@@ -403,7 +403,7 @@ def _residual_section(residuals: Residuals, found: Identification, motion: Motio
         Column("share", "share of their variance", show=lambda value, _: percent(value)),
         Column("result"),
     )
-    caption = "Errors of the prediction one row ahead: share of their variance between groups"
+    caption = "One-step-ahead prediction errors: share of variance between groups"
     table = table_of("shares", caption, columns, rows, lambda row: str(row["grouping"]))
     sentences = [
         "The residual is the measured velocity minus the velocity of the free runs, for all replayed logs.",
@@ -466,7 +466,8 @@ def _spectrum(spectra: Spectra | None, band: tuple[float, float] | None, motion:
 
 
 def _on_logarithmic_axes(axes: Axes) -> None:
-    """Scale both axes logarithmically, with plain numbers of Hz and powers of ten."""
+    """Scale both axes logarithmically. Label frequencies [Hz] with plain numbers, and the other axis with powers of
+    ten."""
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")

@@ -444,7 +444,7 @@ class Optimum:
         return reachable(self.criterion, whole) if is_criterion(self.criterion, COST_OF_DELAY) else None
 
     def columns(self) -> dict[str, list[Any]]:
-        """Return the single row of a table."""
+        """Return the columns of a table with a single row."""
         wall = dict(zip(self.case.axes, (self.stiffness, self.damping), strict=True))
         row = {"criterion": self.criterion, **wall, "cost": self.cost, **self._ends}
         return {name: [value] for name, value in (row | {"reason": self.reason, "note": self.note}).items()}
@@ -510,7 +510,7 @@ class BestDamping:
         return document | ({"reason": self.reason} if self.reason else {})
 
     def columns(self) -> dict[str, list[Any]]:
-        """Return the single row of a table."""
+        """Return the columns of a table with a single row."""
         of_loop = {*self.case.loop_entries}
         return {name: [value] for name, value in ({"reason": None} | self.to_json()).items() if name not in of_loop}
 

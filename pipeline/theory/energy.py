@@ -211,7 +211,8 @@ def _weights(loop: NormalisedLoop) -> Floats:
 
 
 def _in_doubles(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str) -> tuple[Floats, Booleans]:
-    """Return sums of k^w g_k g_k' of `NormalisedLoop.seen` over k, (n, 3, pairs of q numbers), and which are valid."""
+    """Return sums of k^w g_k g_k' of `NormalisedLoop.seen` over k, (n, 3, pairs of q numbers), and a mask of valid
+    ones."""
     bottom, top = _transforms(loop, signal, np.float64)
     q, powers = top.shape[2:]
     pairs, chances = q * (q + 1) // 2, (_chances((powers + 1,)), _chances((q, powers)))
@@ -333,12 +334,13 @@ def sums_in_doubles(polynomials: Arrays, walls: Arrays, work: Arrays, sums: Floa
 
 
 def _by_recursion(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str, kind: Any) -> tuple[Floats, Booleans]:
-    """Return the sums in a type of numbers, and which are valid, i.e. of stable points without large rounding errors.
+    """Return the sums as float64, and a mask of the valid points, which are stable and have small rounding errors.
 
-    H is the transform of a sequence h. Then sum_k k^w h_k^2 is the w-th derivative, at s = 0, of the sum for H(z
-    exp(-s/2)), which is an integral along the imaginary axis of w. Numbers have five parts: value, first and half the
-    second derivative with respect to s, and the effects of two random relative perturbations of the polynomial terms on
-    the value. These effects times the rounding unit of the number type estimate the rounding error.
+    The sums are computed with the number type ``kind``. H is the transform of a sequence h. Then sum_k k^w h_k^2 is the
+    w-th derivative, at s = 0, of the sum for H(z exp(-s/2)), which is an integral along the imaginary axis of w.
+    Numbers have five parts: value, first and half the second derivative with respect to s, and the effects of two
+    random relative perturbations of the polynomial terms on the value. These effects times the rounding unit of the
+    number type estimate the rounding error.
 
     Source: Astroem 1970, Introduction to Stochastic Control Theory, ch. 5, theorem 3.1.
     """
@@ -388,9 +390,10 @@ def _step_in_z(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def _at(polynomials: np.ndarray, walls: np.ndarray) -> np.ndarray:
-    """Return polynomials at walls with two random perturbations as further parts, shape (5, ..., powers, n).
+    """Return the values of polynomials at walls, shape (5, ..., powers, n).
 
-    The lowest power is first.
+    The first axis contains the value, two derivatives, and the effects of two random perturbations of the terms. The
+    lowest power is first.
     """
     found = np.tensordot(np.moveaxis(polynomials, 1, -1), walls, 1)
     terms = np.tensordot(np.moveaxis(np.abs(polynomials[0]), 0, -1), np.abs(walls), 1)
@@ -421,7 +424,7 @@ def _ratio(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def _transforms(loop: NormalisedLoop, signal: str, kind: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the transforms of the inputs of an interval as ratios of polynomials in w, in a type of numbers.
+    """Return the transforms of the inputs of an interval as ratios of polynomials in w, with a number type.
 
     The denominator has the shape (3, 3, powers). The axes are for the value, its first and half its second derivative
     with respect to s; and for the constant term and the factors of alpha and beta. A factor 1 + w turns the sum into an

@@ -155,7 +155,7 @@ def copy(source: NDArray[Any], target: NDArray[Any]) -> None:
 
 @inlined
 def begin(walls: Arrays, n: int, body: Arrays) -> None:
-    """Set law and levers of a wall, and the own states and the delayed forces at sample 0."""
+    """Set the feedback row and the lever row of wall n, and the own states and the delayed forces at sample 0."""
     alpha, beta, (outputs, effects, (gamma, least, short), start) = walls
     rows, z, line, _, _ = body
     lever = max(least, 2 * (alpha[n] + gamma) ** -0.5)
@@ -171,8 +171,8 @@ def begin(walls: Arrays, n: int, body: Arrays) -> None:
 def body_of(rows: Floats, sizes: tuple[int, int], powers: int) -> Arrays:
     """Return the part of a work array that a march of a wall needs.
 
-    It contains the work array with law and levers, own states ``z``, delayed forces ``line`` with that of sample k at k
-    modulo the delay, and two work arrays.
+    It contains the work array with the feedback row and the lever row, own states ``z``, delayed forces ``line`` with
+    that of sample k at k modulo the delay, and two work arrays.
     """
     own, delay = sizes
     return rows, rows[OWN, :own], rows[LINE, :delay], rows[MOVED, :own], rows[CURVE, :powers]

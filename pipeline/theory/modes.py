@@ -55,7 +55,7 @@ def modal(loop: NormalisedLoop) -> Constants:
 
 @lru_cache(maxsize=64)
 def first_poles(loop: NormalisedLoop) -> Complexes:
-    """Return the poles of a wall minus 1, shape (states,), from which the search for those of the first wall starts."""
+    """Return the poles minus 1 of the wall alpha = beta = 1, shape (states,), as starting values for the first wall."""
     one = np.ones(1)
     return np.asarray(np.linalg.eigvals(loop.matrix(one, one))[0] - 1.0, np.complex128)
 

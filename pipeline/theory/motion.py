@@ -155,7 +155,7 @@ def _edges(rates: NDArray[Any], duration: float) -> Floats:
 def _by_series(loop: NormalisedLoop, duration: float) -> tuple[Floats, Floats, Floats]:
     """Return the transition, the gain, and the coefficients of the polynomial through exact points, from power series.
 
-    No digits cancel in a piece of at most one radian. The first power that is left out is below 1/24!.
+    No digits cancel in a piece of at most one radian. The first omitted term is below 1/24!.
     """
     device, n = loop.device, loop.device.states
     factor, powers = np.zeros((n + 1, n + 1)), np.eye(n + 1)[None]
@@ -254,7 +254,7 @@ def interval_motion(loop: NormalisedLoop, between: bool) -> Constants:
 
 @lru_cache(maxsize=64)
 def own_basis(loop: NormalisedLoop) -> tuple[Floats, Floats]:
-    """Return the matrix that maps own states of `NormalisedLoop.matrix` to those of a march, and its inverse.
+    """Return the matrix that maps the own states of `NormalisedLoop.matrix` to those of a march, and its inverse.
 
     Own states of a march are the sensed position and its velocity, the last sample, the device states except the first
     two, and the filter states.

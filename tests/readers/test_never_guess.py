@@ -241,7 +241,7 @@ sampling_period_s = 0.001
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('name = "x"', 'name = "F"', ":9: key 'columns.position.name': 'F' is also columns.command"),
+        ('name = "x"', 'name = "F"', ":9: key 'columns.position.name': 'F' is already used for columns.command"),
         ("sign = 1 }\nposition", "sign = true }\nposition", ":8: key 'columns.command.sign': Input should be 1 or -1"),
         ("stiffness = 300", 'stiffness = "300"', ":13: key 'constants.stiffness': Input should be a valid number"),
         ("damping = 2", "damping = true", ":14: key 'constants.damping': Input should be a valid number"),

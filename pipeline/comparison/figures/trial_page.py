@@ -262,10 +262,10 @@ class _Experiment:
 
 
 def _alone(loop: Loop, measured: Sequence[MeasuredTrial], usual: StepTrial) -> dict[int, Floats]:
-    """Return the motion of the device without a wall from the command edge on [m, rad], by index of each trial with a
-    step.
+    """Return the motion [m, rad] of the device without a wall from the command edge onward, by index of the trial.
 
-    The motion of a linear device is proportional to the step. With friction or a constant force it is not.
+    Trials without a step are omitted. The motion of a linear device is proportional to the step, but not with friction
+    or a constant force.
     """
     linear = not (loop.friction or loop.constant_force)
     places = [i for i, of in enumerate(measured) if of.response.edge_row >= 0 and of.logged.step != 0]

@@ -86,7 +86,7 @@ def implied_delay(result: MeasuredExperiment, basis: LoopBasis | None) -> Implie
 
 
 def _near_origin(limits: _Limits) -> _Limits:
-    """Return the limits near the origin, or no limits if there are none."""
+    """Return the limits near the origin. The result is empty if ``limits`` is empty."""
     if not len(limits):
         return limits
     stiffest = limits.damping[np.argmax(limits.stiffness)]

@@ -46,12 +46,12 @@ class LoopBasis:
 
     @property
     def devices(self) -> list[IdentifiedLoop]:
-        """The device that conclusions use, followed by the other device if there is one."""
+        """The device on which the conclusions are based, followed by the other device if there is one."""
         return [device for device in (self.nominal, self.identified) if device is not None]
 
     @property
     def loop(self) -> Loop:
-        """The loop that conclusions use."""
+        """The loop on which the conclusions are based."""
         return self.devices[0].loop
 
     @property

@@ -59,7 +59,7 @@ def passive_wall(basis: LoopBasis, result: MeasuredExperiment) -> tuple[PassiveW
         return None, "the position is sensed beyond the vibration mode: no wall is passive for every operator"
     loops = _loops(basis)
     if not loops:
-        return None, "the delay may exceed the range of theory"
+        return None, "the delay may exceed the largest delay that the theory covers"
     plants = [(LoopUnits.of(loop), NormalisedLoop.of(loop)) for loop in loops]
     walls = [(units, *stiffest_passive(plant, damping / units.damping)) for units, plant in plants]
     highest, wall_damping = min((alpha * units.stiffness, beta * units.damping) for units, alpha, beta in walls)
@@ -86,7 +86,7 @@ def passive_wall(basis: LoopBasis, result: MeasuredExperiment) -> tuple[PassiveW
 def is_passive(basis: LoopBasis, stiffness: float, damping: float) -> bool | None:
     """Return whether a wall [N/m, Nm/rad; Ns/m, Nms/rad] is passive over the whole range of a loop.
 
-    The result is None if a delay exceeds the range of theory.
+    The result is None if a delay exceeds the largest delay that the theory covers.
     """
     least = _least_damping(basis)
     if least <= 0 or _is_sensed_at_load(basis):

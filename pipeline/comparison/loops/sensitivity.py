@@ -90,9 +90,10 @@ def region_causes(
     stated : Loop or None
         Loop of the device file.
     basis : LoopBasis
-        Device identified from the logs, and the loop that conclusions use.
+        Device identified from the logs, and the loop on which the conclusions are based.
     limits : sequence of Limit
-        Limits of the loop that conclusions use. With friction or jitter, they state the linear limits, too.
+        Limits of the loop on which the conclusions are based. With friction or jitter, they state the linear limits,
+        too.
 
     Notes
     -----

@@ -188,7 +188,7 @@ def _of_chance(result: MeasuredExperiment, K: Floats, B: Floats) -> Booleans:
 
 
 def _without_each_fold(device: IdentifiedLoop) -> list[Loop]:
-    """Return the devices identified without one fold each, with friction at different quantiles of its scatter."""
+    """Return the device identified with each fold left out in turn, with friction at a different quantile per fold."""
     name, loops = "friction.coulomb", []
     for fold, quantile in zip(device.folds or ({},) * FOLDS, QUANTILES, strict=True):
         values: Mapping[str, float] = {**device.values, **fold}
@@ -198,7 +198,7 @@ def _without_each_fold(device: IdentifiedLoop) -> list[Loop]:
 
 
 def replay_error(replay: WallReplay | None) -> float:
-    """Return the relative error of limits according to a replay, 95 %."""
+    """Return the 95 % quantile of the relative error of replayed limits, or 0 without a replay."""
     return (replay.limits_error_percent or 0.0) / 100 if replay is not None else 0.0
 
 

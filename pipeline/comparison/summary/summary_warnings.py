@@ -142,7 +142,7 @@ def _of_device(data: StoredData, results: Sequence[ExperimentNumbers]) -> Iterat
 
 
 def _too_late(device: Device, name: str) -> float:
-    """Return the longest delay in the range of theory if the delay of an experiment exceeds it, otherwise 0."""
+    """Return the longest delay that the theory covers if the delay of an experiment exceeds it, otherwise 0."""
     entry = next(e for e in device.experiments if e.name == name)
     return LARGEST_DELAY if entry.delay_samples > LARGEST_DELAY else 0.0
 
@@ -187,6 +187,6 @@ def _of_estimates(results: Sequence[ExperimentNumbers]) -> Iterator[dict[str, An
 
 
 def too_late(result: ExperimentNumbers) -> bool:
-    """Return whether a delay, or the upper end of its interval, exceeds the range of theory."""
+    """Return whether a delay, or the upper end of its interval, exceeds the longest delay that the theory covers."""
     delay = result.estimates["delay_samples"]
     return max(value for value in (delay.value, delay.high, 0.0) if value is not None) > LARGEST_DELAY

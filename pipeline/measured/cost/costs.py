@@ -72,7 +72,7 @@ def cost_start(trial: Trial, response: Response, verdict: Verdict, delay_samples
         return first, f"no final position: x_0 + F_0/K needs K > 0, found K = {stiffness:g}"
     if response.position_final_expected == response.position_start:
         travel = trial.step / stiffness
-        return first, f"no final displacement: F_0/K = {travel:.3g} is below the rounding of positions"
+        return first, f"no final displacement: F_0/K = {travel:.3g} is lost in the rounding of the rest position"
     if first >= trial.rows:
         return first, f"the log of {trial.rows} rows ends before the command takes effect in row {first}"
     return first, ""

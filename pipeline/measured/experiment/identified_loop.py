@@ -37,7 +37,9 @@ ABSENT = ("actuator_lag_s", "constant_force")
 NOT_IDENTIFIABLE = "not identifiable: {}. Record {}"
 """Reason why the logs do not identify a parameter, followed by the remedy."""
 
-ANY_FORCE = "its 95 % interval is wider than the largest {}, {:.3g}, since other parts have the same effect"
+ANY_FORCE = (
+    "the half-width of its 95 % interval exceeds the largest {} ({:.3g}), because other parts have similar effects"
+)
 ANY_SPRING = "any spring that is too soft to be visible in these motions explains them equally well"
 OPEN = "other parts of the device explain these logs equally well"
 

@@ -116,8 +116,9 @@ def _grid(size: Floats, smallest: float, tolerance: float, most: float, fewest: 
     """
     for parts in range(1, 4):
         step = smallest / parts
-        # the smallest change contains the rounding of two readings, while the mean of all changes hardly does; the mean
-        # is refined in passes, since an error of the step is multiplied by the multiples
+        # the smallest change has the rounding error of two readings, so the step is refined by least squares over all
+        # changes; the passes begin with small multiples, because the error of a multiple of the step grows with the
+        # multiple
         if np.isfinite(most):
             for limit in (3.0 * parts, 8.0 * parts, most):
                 square = total = 0.0

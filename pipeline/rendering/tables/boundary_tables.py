@@ -217,7 +217,7 @@ def measured_damping_notes(result: ComparisonResult) -> list[str]:
             )
     if same:
         where = experiments_text(same, len(result.experiments))
-        notes.append(f"{where}: the damping of the logs agrees with the stated one, so that it explains no deviation.")
+        notes.append(f"{where}: the damping of the logs agrees with the stated one, so it explains no deviation.")
     return notes
 
 
@@ -276,7 +276,7 @@ def shapes_table(result: ComparisonResult) -> Table | None:
 
 
 def shape_words(line: StraightBound) -> str | None:
-    """Return whether a measured boundary is straight, and whether theory's curvature is excluded, in words.
+    """Describe in words whether a measured boundary is straight, and whether the curvature of theory is excluded.
 
     The result is None if the curvature is unknown.
     """

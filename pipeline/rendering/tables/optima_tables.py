@@ -169,9 +169,9 @@ def damping_notes(rows: Sequence[Row], result: ComparisonResult, *, swept: bool)
         if not known:
             return []
         if any(each.low is None or each.high is None for each in known):
-            return ["The logs do not determine the damping, so that its part in these deviations is unknown."]
+            return ["The logs do not determine the damping, so its contribution to these deviations is unknown."]
         names = experiments_text([e.experiment for e in leaders], len(result.experiments))
-        words = "the damping of the logs agrees with the stated one, so that it explains none of these deviations"
+        words = "the damping of the logs agrees with the stated one, so it explains none of these deviations"
         return [f"{names}: {words}."]
     changes = "" if swept else _damping_change(theory, next(iter(damped.values())), UNITS[result.motion].damping)
     texts = {

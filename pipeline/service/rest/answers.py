@@ -1,4 +1,5 @@
-"""Answers of the API, for its schema: a record for each document, and the problems that any route may return."""
+"""Responses of the API for its OpenAPI schema: a record for each document, and the problems that any route may
+return."""
 
 from __future__ import annotations
 
@@ -120,19 +121,19 @@ PARTS: dict[str, object] = {
 
 
 def problems(*statuses: int) -> dict[int | str, JsonObject]:
-    """Return the answers of a route that are problem documents, keyed by status, for the schema."""
+    """Return the OpenAPI responses for these statuses. Each response is a problem document."""
     schema = {"$ref": f"#/components/schemas/{ProblemDocument.__name__}"}
     return {status: {"description": TITLES[status], "content": {MEDIA: {"schema": schema}}} for status in statuses}
 
 
 EVERYWHERE = problems(400, 401, 403, 408, 409, 413, 422, 429, 503, 507)
-"""Answers that every route may give."""
+"""Responses that every route may give."""
 
 NAMED = problems(404)
-"""Answer of a route whose address names a resource."""
+"""Response of a route whose address names a resource."""
 
 LATER: dict[int | str, JsonObject] = {202: {"description": "It takes longer.", "model": Queued}, **NAMED}
-"""Answers of a route that waits for a job."""
+"""Responses of a route that waits for a job."""
 
 
 def only_known(request: Request) -> None:

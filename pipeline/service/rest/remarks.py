@@ -136,7 +136,7 @@ def _add_words(path: str, of: Callable[..., list[str]], form: type[Notes | Tags]
 
 
 def _add_remarks(owner: str, of: Callable[..., list[str]]) -> None:
-    """Add the routes for notes, tags and changes of trials or experiments."""
+    """Add the routes for notes, tags and changes to trials or experiments."""
     _add_words(f"{owner}/notes", of, Notes)
     _add_words(f"{owner}/tags", of, Tags)
     owned = Annotated[list[str], Depends(of)]

@@ -402,8 +402,8 @@ class _Maker:
             if len(against) == len(laws):
                 values["columns"]["position"]["sign"] = -1
                 self.evidence.append(
-                    f"sign of the position is -1, because in {_logs(len(laws))} the command pushes towards smaller "
-                    "numbers"
+                    "sign of the position is -1, because a positive command reduces the position in "
+                    f"{_logs(len(laws))}"
                 )
         column = _column_key(values["columns"]["command"])
         begun = [

@@ -154,7 +154,7 @@ def grouped(rungs: Iterable[Rung], of: Literal["quantity", "method"]) -> dict[st
 
 
 def best_time(run: Callable[[], _T], budget: float) -> tuple[_T, float]:
-    """Return the result of a call, and the shortest time [s] of repeated calls after a first call without timing.
+    """Return the result of a call, and the shortest time [s] of the calls that follow an initial call.
 
     No repetition starts after ``budget`` seconds. If the first call takes longer, its time is returned.
     """

@@ -1,8 +1,8 @@
 """Estimates and costs from logs. Each method is a row of a table and is compared with the simulated truth.
 
 The logs are those of the Falcon's experiment 1 without jitter, at random stable pairs (K, B). Errors are medians over
-trials for estimates, and means for costs. Errors are relative to the true value, except for the errors of delays, in
-samples, and of overshoot, as a fraction of the final displacement.
+trials for estimates, and means for costs. Errors are relative to the true value, with two exceptions. Errors of the
+delay are in samples, and errors of the overshoot are fractions of the final displacement.
 """
 
 from __future__ import annotations

@@ -456,7 +456,7 @@ def test_scores_with_the_measured_damping_are_a_second_row(result: ComparisonRes
     assert "theory by the device file" in table.caption
     alone = both.model_copy(update={"experiments": (first.model_copy(update={"scores": (stated,)}),)})
     assert measured_damping_notes(alone) == [
-        "Experiment 0: the damping of the logs agrees with the stated one, so that it explains no deviation."
+        "Experiment 0: the damping of the logs agrees with the stated one, so it explains no deviation."
     ]
     assert measured_damping_notes(alone.model_copy(update={"known_device": False})) == []
 
