@@ -4,7 +4,7 @@ The regions are in units of the device's damping b and of the sampling period T 
 they do not depend on mass or stiffness. The regions of whole delays end at (0, 1) and (0, −1). Their lower parts are
 straight, K < (b + B)/((1/2 + d) T). The dash-dotted line connects the stiffest passive walls of all delays. For d =
 0.25 and 0.5, the figure shows the exact region. Equation (4.8) of the thesis omits frequencies above half the sampling
-rate, so that its region ends at B = b for these delays, too.
+rate, so its region ends at B = b for these delays, too.
 """
 
 import matplotlib.pyplot as plt

@@ -1,5 +1,5 @@
 """Progress of long computations. A part of the work reports its completed share to a listener, if there is one. Each
-part covers a range of its enclosing part, so that a function reports shares from 0 to 1, whatever its caller.
+part covers a range of its enclosing part, so a function reports shares from 0 to 1, whatever its caller.
 """
 
 from __future__ import annotations

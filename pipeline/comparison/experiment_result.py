@@ -253,7 +253,7 @@ def _examined(data: StoredData, stages: ExperimentStages, measured: MeasuredExpe
 
 def _completed(estimate: Estimate, truth: float | None, *, doubted: bool) -> Estimate:
     """Return an estimate with its true value, and with a warning if it depends on a loop that is not adequate."""
-    doubt = f"{NOT_ADEQUATE}, so that its interval may be too narrow" if doubted and estimate.value is not None else ""
+    doubt = f"{NOT_ADEQUATE}, so its interval may be too narrow" if doubted and estimate.value is not None else ""
     warning = "; ".join(filter(None, [estimate.warning, doubt])) or None
     return estimate.model_copy(update={"truth": truth, "warning": warning})
 

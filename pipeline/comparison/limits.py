@@ -118,8 +118,8 @@ def overlap(damping: Floats, first: Stretches, second: Stretches, top: Floats | 
     Notes
     -----
     All ends are linear between two dampings. If two ends cross there, a damping is added. Between the resulting
-    dampings, the lengths of the intervals and of their intersections vary linearly, so that the trapezoidal rule is
-    exact. An infinite top next to a finite one is replaced by the upper end of the higher region.
+    dampings, the lengths of the intervals and of their intersections vary linearly, so the trapezoidal rule is exact.
+    An infinite top next to a finite one is replaced by the upper end of the higher region.
     """
     if len(damping) < 2 or not (np.diff(damping) > 0).all():
         raise ParameterError(

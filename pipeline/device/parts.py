@@ -219,7 +219,7 @@ class SimulationParts(Part):
     clipped_command_logged : bool
         Whether the log contains the command after the force limit instead of before it.
     lost_rows : float
-        Fraction of rows that are missing in the log.
+        Fraction of rows that are missing from the log.
     lost_rows_hidden : bool
         Whether the time stamps are renumbered, so that they do not show which rows are missing.
     held_samples : float

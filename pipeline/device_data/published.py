@@ -41,7 +41,7 @@ OfDevice = TypeVar("OfDevice", PublishedBound, PublishedMass)
 
 
 class PublishedRow(Record):
-    """Printed optimum. A value that is missing in the table is None.
+    """Printed optimum. A value that is missing from the table is None.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ class PrintedNumber:
 
 
 class PublishedPoint(Record):
-    """Printed point or factor. A value that is missing in the table is None.
+    """Printed point or factor. A value that is missing from the table is None.
 
     Parameters
     ----------

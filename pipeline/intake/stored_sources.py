@@ -106,7 +106,7 @@ class StoredSources:
         return found
 
     def get(self, path: str) -> StoredSource | None:
-        """Return the stored data of a path. For data in a damaged file, the result is None, so that the log counts as
+        """Return the stored data of a path. For data in a damaged file, the result is None, so the log counts as
         new."""
         return self.taken.get(path) or (self._former.get(path) if path in self.paths else None)
 

@@ -137,7 +137,7 @@ class Search:
     walls : tuple of (float, float, float)
         Walls to try next, each with K [N/m, Nm/rad], B [Ns/m, Nms/rad] and the expected cost.
     done : bool
-        Whether no wall is expected to improve on the best trial by more than the accuracy, so that the search ends.
+        Whether no wall is expected to improve on the best trial by more than the accuracy. If so, the search ends.
     best : int or None
         Index of the best trial.
     least : float

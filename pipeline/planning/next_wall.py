@@ -33,7 +33,7 @@ SMOOTH = 0.15
 """Correlation length of the model error over damping, relative to the range of dampings."""
 
 DOUBT = 0.08
-"""Probability that the forecast is wrong, so that the limit may lie anywhere in its bracket."""
+"""Probability that the forecast is wrong. The limit may then lie anywhere in its bracket."""
 
 PRICE = 6.0
 """Number of stable trials that cost as much as an unstable trial, if the rig is to be protected."""
@@ -655,9 +655,9 @@ def answers(
     Returns
     -------
     str
-        Empty, or one of three words. ``softer``: all trials have the same wall, so that a softer wall is requested to
-        show whether the rig sets requested walls. ``step of the rig``: the rig sets no wall inside the bracket.
-        ``middle``: an end was set repeatedly, but the rig may set other walls inside, so the middle is requested.
+        Empty, or one of three words. ``softer``: all trials have the same wall, so a softer wall is requested to show
+        whether the rig sets requested walls. ``step of the rig``: the rig sets no wall inside the bracket. ``middle``:
+        an end was set repeatedly, but the rig may set other walls inside, so the middle is requested.
 
     Notes
     -----

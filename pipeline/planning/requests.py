@@ -191,7 +191,7 @@ class RigRange:
 
     @property
     def several(self) -> bool:
-        """Whether the rig answered requests of several stiffnesses, so that its step can be estimated."""
+        """Whether the rig answered requests of several stiffnesses, from which its step can be estimated."""
         return len(np.unique(self.asked)) >= MIN_ANSWERS
 
     def wall(self, wanted: float, low: float, high: float, most: float) -> float | None:

@@ -325,7 +325,7 @@ def _integral(where: str, rule: str, table: Table, velocity: Floats, period: flo
     steps = np.diff(table["time"])
     if (lost := steps > LONGEST_STEP * period).any():
         at = int(np.argmax(lost)) + 1
-        found = f"rows are missing before {table['time'][at]:.9g} s, so that the integral of the velocity is unknown"
+        found = f"rows are missing before {table['time'][at]:.9g} s, so the integral of the velocity is unknown"
         cure = "Exclude these rows by a window, or omit the log."
         raise refusal("time-wrong", where, found, cure=cure, row=int(table["row"][at]))
     mean = velocity[1:] if rule == "difference" else 0.5 * (velocity[1:] + velocity[:-1])
@@ -453,7 +453,7 @@ def conditions_of(
     Raises
     ------
     LogError
-        If a condition is missing, or is missing in the file name, the attribute or the column from which the profile
+        If a condition is missing, or is missing from the file name, the attribute or the column from which the profile
         reads it.
     """
     name, where = names

@@ -43,7 +43,7 @@ An error of 25 % in mass or delay changes the limit by this factor.
 """
 
 MATTERS = 0.02
-"""Smallest relative change of a result that is reported.
+"""Smallest relative change in a result that is reported.
 
 Campaigns do not bracket limits more closely than this, and rounded K and B in headers deviate less. This is also the
 share of logs above which a finding is not attributed to single trials.

@@ -373,14 +373,14 @@ ChangeCode = Literal[
 
 
 class LoopChange(Record):
-    """Changed parameter or part of a loop, and the resulting change of a result, in percent."""
+    """Changed parameter or part of a loop, and the resulting change in a result, in percent."""
 
     code: ChangeCode
     percent: float
 
 
 class RegionCauses(Record):
-    """Changes of the area of the theoretical stable region due to parameters and parts estimated from the logs, in
+    """Changes in the area of the theoretical stable region due to parameters and parts estimated from the logs, in
     percent (6.2.3). Each of the ``changes`` replaces one parameter or part of the device file that differs from the
     logs. ``together_percent`` is the change for the device identified from the logs, with friction and jitter.
     """
@@ -421,7 +421,7 @@ class LoopFindings(Record):
     """Loop, limits, passive wall and causes of an experiment. A missing result is None, with a reason.
 
     ``loop`` is None if no requested result needs a device. ``optimum`` states for each optimum whether its wall is
-    passive. ``sensitivities`` are changes of the largest stable stiffness: for one sample less of delay, and without
+    passive. ``sensitivities`` are changes in the largest stable stiffness: for one sample less of delay, and without
     each part of the loop. ``region_causes`` is None without a device file or an adequate loop.
     """
 

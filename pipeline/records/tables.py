@@ -124,7 +124,7 @@ COLUMNS: dict[str, Column] = {
     "position_final_expected": Column(_F, "m", "rad", "x_0 + F_0/K (6.1)", True),
     "position_final_measured": Column(_F, "m", "rad", "mean position over the last tenth of the log", True),
     "sensor_quantum": Column(_F, "m", "rad", "smallest change of the position that occurs in the log", True),
-    "sensor_noise": Column(_F, "m", "rad", "standard deviation of the white noise of the position", True),
+    "sensor_noise": Column(_F, "m", "rad", "standard deviation of the white measurement noise of the position", True),
     # wall_law stage
     "law_residual": _same(_F, "1", "largest deviation of the command from the wall law, relative to F_0", True),
     "law_rounding": _same(_F, "1", "largest part of law_residual that is due to rounding of printed numbers", True),
@@ -256,7 +256,7 @@ TABLES: dict[str, tuple[str, ...]] = {
 """Columns of each table. The columns of a stage are the fields of its record."""
 
 SIGNALS = ("time_s", "command", "position", "force", "velocity")
-"""Columns of the samples of a response. The last two may be missing in a log."""
+"""Columns of the samples of a response. The last two may be missing from a log."""
 
 SAMPLES = (*SIGNALS, "raw_time", "raw_count")
 """Columns of the trials table that contain a list of samples in each row."""

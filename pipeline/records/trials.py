@@ -45,8 +45,7 @@ class Trial:
     step_row : int, optional
         Declared row of the command edge. By default, the edge is detected in the log.
     integrated : bool
-        True if positions are integrals of the velocity of a sensor, so that they are not on the grid of a position
-        sensor.
+        True if positions are integrals of a measured velocity. They are then not on the grid of a position sensor.
     motion : Motion, optional
         Kind of motion, which determines the units. None if it is unknown.
 

@@ -23,7 +23,7 @@ MOST_DIGITS = 9
 accurate to 1e-9."""
 
 BEYOND = 1000.0
-"""Threshold of a deviation in percent. Above it, the two numbers are unrelated, so that the digits of the deviation are
+"""Threshold of a deviation in percent. Above it, the two numbers are unrelated, so the digits of the deviation are
 meaningless."""
 
 ANSWER_DIGITS = 4

@@ -331,8 +331,8 @@ class Catalogue:
     def page(self, chosen: Selection, sort: str, limit: int, after: tuple[Any, str] | None) -> tuple[list[Trial], bool]:
         """Return trials in order, starting after a given value and trial, and True if more trials follow.
 
-        A page depends only on this value and trial, so that the page is not shifted by trials added in the meantime.
-        Missing values come last.
+        A page depends only on this value and trial, so the page is not shifted by trials added in the meantime. Missing
+        values come last.
         """
         name, way = sort.lstrip("-"), "DESC" if sort.startswith("-") else "ASC"
         where, values = self._chosen(chosen)

@@ -284,7 +284,7 @@ def cookie(name: str, value: str, secure: bool = False) -> str:
     """Return the header of a cookie that scripts cannot read. From other sites, the cookie is sent only when the user
     follows a link.
 
-    A report is sandboxed by its policy, so that it counts as another site. Its link back to the pages needs the cookie.
+    A report is sandboxed by its policy, so it counts as another site. Its link back to the pages needs the cookie.
     Changes additionally need the token of a form.
     """
     return f"{name}={value}; Path=/; HttpOnly; SameSite=Lax" + ("; Secure" if secure else "")

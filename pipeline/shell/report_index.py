@@ -1,7 +1,7 @@
 """The index page of all reports in a folder, made from their JSON documents.
 
 Reports may come from other versions, be damaged, or be incomplete. Unreadable reports are listed with the reason. The
-page depends only on the reports, so that the same reports give the same bytes.
+page depends only on the reports, so the same reports give the same bytes.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _REPORT_MARK = 'name="pipeline-cells"'
 
 
 def _row(document: JsonObject) -> JsonObject:
-    """Return the index row of a document. Fields that are not needed here may be missing in documents of other
+    """Return the index row of a document. Fields that are not needed here may be missing from documents of other
     versions."""
     experiments = document["experiments"]
     names = [e["experiment"] for e in experiments]
@@ -178,7 +178,7 @@ def _entry(page: Path) -> IndexEntry:
     if not text.rstrip().endswith("</html>"):
         return IndexEntry(page.name, title, "the page is incomplete; write the report again")
     if not document.is_file():
-        return IndexEntry(page.name, title, f"{name} is missing in its folder; write the report again")
+        return IndexEntry(page.name, title, f"{name} is missing from its folder; write the report again")
     try:
         found = json.loads(document.read_bytes())
         return IndexEntry(page.name, found["title"], document=_row(found))

@@ -154,7 +154,7 @@ class TrialDraws:
 
     ``noise`` [m, rad] is added before the sensor rounds. ``delays`` [samples] are the delays of the commands. In
     ``held`` samples, the sensor repeats its last value. In ``repeated`` rows, the log repeats the last position. The
-    ``lost`` rows are missing in the log.
+    ``lost`` rows are missing from the log.
     """
 
     noise: Floats | None

@@ -31,13 +31,13 @@ class Grid:
 
 
 def tested_grid(device: Device, experiment: Experiment) -> Grid:
-    """Return the grid of an experiment. Values that are missing in the device file are derived from the range of stable
-    walls.
+    """Return the grid of an experiment. Values that are missing from the device file are derived from the range of
+    stable walls.
 
     Raises
     ------
     ParameterError
-        If a value of the grid is missing in the file and no wall is stable.
+        If a value of the grid is missing from the file and no wall is stable.
     """
     e = experiment
     if e.damping_last is None or e.damping_step is None or e.stiffness_step is None:

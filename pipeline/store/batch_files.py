@@ -1,6 +1,6 @@
 """Functions that write batch files, merge small ones, and remove outdated trials. A file contains trials of a single
 experiment. The metadata of a replacement list the replaced files, which are deleted once the replacement is on disk. A
-reader skips replaced files, so that it sees each trial exactly once.
+reader skips replaced files, so it sees each trial exactly once.
 """
 
 from __future__ import annotations

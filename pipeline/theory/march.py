@@ -607,7 +607,7 @@ def below_a_peak(view: Floats, peak: float, sample: float) -> float:
 
     The number is at least half of the largest possible one. The envelopes keep the motion below a peak if all modes
     that may rise above the final position are smaller than the peak, or while a real negative mode exceeds them. The
-    ratio of a sum of exponentials to one exponential is convex in time, so that its present value and one later value
+    ratio of a sum of exponentials to one exponential is convex in time, so its present value and one later value
     suffice. Once the other modes are below the peak, the motion can no longer exceed it.
     """
     lead, largest, slowest, total = -1, -1.0, math.inf, 0.0

@@ -23,7 +23,7 @@ from pipeline.loop.normalised_loop import NormalisedLoop, moved
 from pipeline.records.trials import Floats
 
 DEGREE = 12
-"""Degree of the polynomials. A piece is at most one radian, so that the next term is below 1/13!."""
+"""Degree of the polynomials. A piece is at most one radian, so the next term is below 1/13!."""
 
 _GAUSS = 14
 """Number of Gauss points that integrate the square of such a polynomial times tau^2 exactly."""
@@ -207,7 +207,7 @@ def _through(values: Digits) -> Digits:
         longer[:-1] -= step * result
         longer[0] += differences[step]
         result = longer
-    # t counts steps, so that a share of the piece is t/DEGREE
+    # t counts steps, so a share of the piece is t/DEGREE
     return np.asarray(result * as_exact([DEGREE**k for k in range(len(result))])[:, None], dtype=object)
 
 

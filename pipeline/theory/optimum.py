@@ -58,7 +58,7 @@ _IMPULSE_INSET = 0.002
 
 _NEAR_LINE = 1e-4
 """Distance from alpha = -gamma, relative to the width, from which a parabola extrapolates the limit. The cost is smooth
-in the distance, so that the error is about 1e-10. Sums over 1e4 samples and more have the same error."""
+in the distance, so the error is about 1e-10. Sums over 1e4 samples and more have the same error."""
 
 _CREEP = 1e-9
 """Smallest (alpha + gamma) and |beta|, relative to the largest, in the search for the largest damping ratio. With a

@@ -158,7 +158,7 @@ def damping_ratio(loop: NormalisedLoop, alpha: object, beta: object) -> Floats:
     -------
     float64, shape (n,)
         1 if all poles are real and not negative, and 0 or less if the loop is not stable. The logarithm is the
-        principal one, so that a pole on the negative real axis is an oscillation with a period of two samples.
+        principal one, so a pole on the negative real axis is an oscillation with a period of two samples.
 
     Notes
     -----

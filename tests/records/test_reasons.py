@@ -51,7 +51,7 @@ def estimate(warning=None, reason=None):
 def test_doubts_have_codes():
     trend = Trend(over="damping", slope=1.0, low=0.9, high=1.1, unit="kg", significant=True)
     drift = drift_warning(trend, np.array([0.0, 10.0]), 1.0, 0.1, "kg")
-    found = estimate("; ".join([drift, f"{NOT_ADEQUATE}, so that its interval may be too narrow", "few logs"]))
+    found = estimate("; ".join([drift, f"{NOT_ADEQUATE}, so its interval may be too narrow", "few logs"]))
     assert [doubt.code for doubt in found.doubts] == ["drift", "not_adequate", "other"]
     assert found.doubts[0].text == drift
     assert estimate().doubts == ()

@@ -88,8 +88,7 @@ LONGEST_EDGE = 2.3
 CELLS = (20, 14)
 """Number of cells along each axis over which deviations from theory are collected.
 
-Each cell is wider than the largest mark and contains at least ten of 2,500 trials, so that its median exceeds their
-scatter.
+Each cell is wider than the largest mark and contains at least ten of 2,500 trials, so its median exceeds their scatter.
 """
 
 RATIO_STEPS, OVERSHOOT_STEPS = (1.05, 1.1, 1.25, 1.5), (0.01, 0.02, 0.05, 0.1)

@@ -65,8 +65,8 @@ def implied_delay(result: MeasuredExperiment, basis: LoopBasis | None) -> Implie
     result : MeasuredExperiment
         Experiment with measured limits.
     basis : LoopBasis or None
-        Source of mass, damping and stiffness. Lag, filter, mode and friction are neglected, so that the delay includes
-        their effect.
+        Source of mass, damping and stiffness. Lag, filter, mode and friction are neglected, so the delay includes their
+        effect.
 
     Notes
     -----

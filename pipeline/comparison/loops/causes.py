@@ -29,14 +29,14 @@ FEW = 10
 more than 30 %."""
 
 ALONG = np.linspace(0.0, 1.0, 6)
-"""Dampings, relative to that of the stiffest wall, at which changes of the limit are evaluated.
+"""Dampings, relative to that of the stiffest wall, at which changes in the limit are evaluated.
 
 At larger dampings the limit decreases so steeply that any change is large.
 """
 
 
 Candidate = tuple[float, Cause]
-"""Possible cause, with the largest change of a result that it causes, or the share of logs that show it."""
+"""Possible cause, with the largest change that it causes in a result, or the share of logs that show it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,8 +253,8 @@ def jitter_cause(jitter: Estimate, delay: Estimate, stated: Loop | None, damping
     stated : Loop or None
         Loop of the device file.
     dampings : float64, shape (n,)
-        Tested dampings [Ns/m, Nms/rad]. The sentence states the median change of theory's limits at them with the delay
-        of the logs.
+        Tested dampings [Ns/m, Nms/rad]. The sentence states the median change in the theoretical limits at these
+        dampings if the delay of the logs is used.
     """
     interval = f"95 %: {span(lambda value: significant(value, 2), jitter.low, jitter.high)} samples"
     change = None if stated is None else _delay_effect(delay, stated.apparent(), dampings)
@@ -271,8 +271,8 @@ def jitter_cause(jitter: Estimate, delay: Estimate, stated: Loop | None, damping
 
 
 def _delay_effect(delay: Estimate, stated: Loop, dampings: Floats) -> float | None:
-    """Return the median relative change of limits with the delay of the logs, or None if it agrees with the stated
-    one."""
+    """Return the median relative change in the limits if the delay of the logs is used, or None if it agrees with the
+    stated delay."""
     if delay.value is None or delay.low is None or delay.high is None or stated.delay_samples > LARGEST_DELAY:
         return None
     constant = linear_limits(stated, dampings)

@@ -41,7 +41,7 @@ SENTENCES = {
     "saturation": "The command is clipped.",
     "unilateral_wall": "The wall acts on one side only.",
     "constant_force": "The command includes a constant force in addition to the wall law.",
-    "missing_rows": "Rows are missing in the logs.",
+    "missing_rows": "Rows are missing from the logs.",
     "repeated_rows": "Rows or readings of the position are repeated.",
     "velocity_filter": "The velocity of the wall law is filtered.",
     "position_filter": "The position in the wall law is filtered.",
@@ -175,7 +175,7 @@ class LawRows:
 
     @property
     def misled(self) -> bool:
-        """Whether most logs follow another wall than stated, so that no result in units of K and B is possible."""
+        """Whether most logs follow a wall other than the stated one. No result in units of K and B is then possible."""
         return int(np.isfinite(self.followed).sum()) > MOST * len(self.codes)
 
 

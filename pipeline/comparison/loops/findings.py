@@ -61,7 +61,7 @@ OTHER_WALL = (
 )
 NOTHING = "no device was identified from the logs, because mass, damping or delay are unknown"
 HELD = (
-    "a spring (perhaps a hand) acts on the device, so that its own damping is unknown and passivity cannot be shown. "
+    "a spring (perhaps a hand) acts on the device, so its own damping is unknown and passivity cannot be shown. "
     "Provide a device file, or trials without the hand"
 )
 GRIPPED = (

@@ -44,7 +44,7 @@ def passive_wall(basis: LoopBasis, result: MeasuredExperiment) -> tuple[PassiveW
     A passive wall is given only if limits were measured at its damping or on both sides of it, and not for few trials.
     The smallest device damping is the lower end of b, minus the parts of an operator and of the far side of a mode. The
     stiffness is rounded down. The rounded pair is checked against passivity, the limits of theory over all intervals,
-    and the measured limits interpolated between the dampings. The stable region is convex there, so that its chords lie
+    and the measured limits interpolated between the dampings. The stable region is convex there, so its chords lie
     inside.
     """
     if result.trials < FEW:

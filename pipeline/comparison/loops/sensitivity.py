@@ -22,7 +22,7 @@ from pipeline.records.trials import Floats
 
 
 def sensitivities(loop: Loop, limits: Sequence[Limit]) -> tuple[LoopChange, ...]:
-    """Return the change of the largest stable stiffness if the delay is one sample shorter, or without each part.
+    """Return the change in the largest stable stiffness if the delay is one sample shorter, or without each part.
 
     Parameters
     ----------

@@ -151,8 +151,8 @@ def as_known(value: float, error: float | None = None) -> float:
     """Return a value rounded to between an eighth and a quarter of its error, or to three digits without an error.
 
     Values on which all trials depend are rounded. An additional log of n changes such a value by its error divided by
-    the root of n, so that the results of the other trials seldom change. Rounding to a quarter of the error increases
-    it by 0.3 %.
+    the root of n, so the results of the other trials seldom change. Rounding to a quarter of the error increases it by
+    0.3 %.
 
     >>> as_known(0.58013, 0.0003), as_known(0.123456)
     (0.58013916015625, 0.123)
@@ -246,7 +246,7 @@ def reading_error(
     # slow motion hardly contributes to the changes from reading to reading
     deviation = sensor * np.sqrt(kept + gain * answered)
     change = sensor * np.sqrt(change)
-    # the first reading is its own reference, so that its error is 0
+    # the first reading is its own reference, so its error is 0
     deviation[0] = change[0] = 0.0
     quanta = sensor / quantum if quantum > 0 else 1.0
     lasting, hidden = (float(np.interp(quanta * quanta, READING, part)) for part in (LASTING_PART, HELD))

@@ -489,7 +489,7 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
             unit=unit,
             method=method,
             reason=f"at {int(open_ended.sum())} of {len(used)} dampings the tested range ended before an unstable "
-            "trial, so that the value is only a lower bound",
+            "trial, so the value is only a lower bound",
             trials=len(used),
         )
     limit = np.array([p.estimate for p in used], dtype=np.float64)
@@ -503,7 +503,7 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
             high=float(share @ high),
             unit=unit,
             method=method,
-            reason=f"at {unlocated} of {len(used)} dampings no trial is certainly stable, so that the value is only an "
+            reason=f"at {unlocated} of {len(used)} dampings no trial is certainly stable, so the value is only an "
             "upper bound",
             trials=len(used),
         )

@@ -129,7 +129,7 @@ def delay_estimate(of: Experiment) -> Estimate:
     plain, model, factor = of.once(first_change), by_model(of, "delay_samples"), of.once(delay_factor)
     methods = {"model": model, "first_change": plain}
     if factor is None or model.value is None:
-        # with a coarse sensor or friction, the first change is late, so that it is only an upper bound
+        # with a coarse sensor or friction, the first change is late, so it is only an upper bound
         low = None if plain.value is None else 0.0
         return Estimate(
             value=plain.value,

@@ -197,12 +197,12 @@ def reasons(
         return dict.fromkeys(sorted(names), misfit)
     elif "asymmetry" in choice.fit.device.numbers and "mass" in names:
         forces = (
-            "The gain of the drive differs by direction, so that no single value per unit of command "
+            "The gain of the drive differs by direction, so no single value per unit of command "
             "describes it. The mass for each direction is given instead."
         )
     elif "curvature" in choice.fit.device.numbers and "mass" in names:
         forces = (
-            "The gain of the drive differs by the size of the command, so that no single value per unit of command "
+            "The gain of the drive differs by the size of the command, so no single value per unit of command "
             "describes it. The masses for small and large commands are given instead."
         )
     result = dict.fromkeys(sorted(names), forces)

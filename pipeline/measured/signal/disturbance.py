@@ -93,7 +93,7 @@ def find_disturbance(trial: Trial, response: Response, device: PushResponse) -> 
 
     Notes
     -----
-    x_{k+w} - 2 x_k + x_{k-w} is the acceleration in this interval with triangular weights, so that the effect of sensor
+    x_{k+w} - 2 x_k + x_{k-w} is the acceleration in this interval with triangular weights, so the effect of sensor
     noise falls with w^2. If the delay jitters, the previous or the next command may have been applied. Forces below 5 %
     of the step, and forces in the first and last w samples of a log, are not detected. The device must be a single mass
     within the bandwidth of the loop.

@@ -150,7 +150,7 @@ def declare_edge(trial: Trial, response: Response, edge_row: int) -> Response:
     response : Response
     edge_row : int
         Row in which the command first contains the step, counted from 0. It replaces the detected edge, and the rows
-        before it are the baseline. With row 0, the log has no baseline, so that its noise is unknown. The response is
+        before it are the baseline. With row 0, the log has no baseline, so its noise is unknown. The response is
         returned unchanged for -1, or for several steps.
 
     Returns

@@ -337,7 +337,8 @@ def _half_range(position: Floats) -> float:
 
 
 def _in_first_swing(trial: Trial, response: Response, way: float) -> bool:
-    """Return whether a motion has neither reversed nor passed its final position, so that it may still accelerate."""
+    """Return whether a motion has neither reversed nor passed its final position, and may therefore still
+    accelerate."""
     travel = abs(response.position_final_expected - response.position_start)
     if (trial.displacement * way > travel + response.floor).any():
         return False

@@ -147,8 +147,8 @@ def _butterworth(
 ) -> VelocityFilterFound | None:
     """Return a Butterworth filter near a recursive filter, of equal or higher order, or None if none explains all rows.
 
-    For low cut-off frequencies, the equations of a recursive filter are ill-conditioned, so that a filter of lower
-    order also explains the rows. A simulation of the filter along the log avoids this.
+    For low cut-off frequencies, the equations of a recursive filter are ill-conditioned, so a filter of lower order
+    also explains the rows. A simulation of the filter along the log avoids this.
     """
     from scipy.optimize import minimize_scalar
 

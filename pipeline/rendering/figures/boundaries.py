@@ -41,7 +41,7 @@ NOT_DRAWN: dict[Overlay, str] = {
     "friction": "no friction was found",
     "robust": "known for a damped mass with a delay alone, and there are other parts or no damping",
 }
-"""Reason why a requested overlay is missing in the figure of a single experiment."""
+"""Reason why a requested overlay is missing from the figure of a single experiment."""
 
 TESTED = ("measured", "bound", "stable", "unstable")
 """Kinds of series with tested walls."""

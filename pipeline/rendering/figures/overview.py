@@ -88,7 +88,7 @@ def replay_figure(result: ComparisonResult) -> list[Figure]:
         panels.append(Panel(f"over {name}", (f"{name} {unit}", "residual [%]"), series, words, limits))
     caption = (
         "Logged minus predicted position, relative to the logged motion, at every stable wall, by a fit without that "
-        "wall. They are large where a part is missing in the loop, or friction scatters and the motion is small."
+        "wall. They are large where a part is missing from the loop, or friction scatters and the motion is small."
     )
     title = "Residuals of the identified loop at all walls"
     return [Figure("response", "replay", title, caption, tuple(panels), size=(350.0, 250.0))]
@@ -97,7 +97,7 @@ def replay_figure(result: ComparisonResult) -> list[Figure]:
 def sensitivity_figure(results: Sequence[ExperimentNumbers]) -> list[Figure]:
     """Return the bar chart of what limits each device, if a loop was identified.
 
-    A bar is the change of the largest stable stiffness by one sample less of delay, or without a part of the loop.
+    A bar is the change in the largest stable stiffness due to one sample less of delay, or without a part of the loop.
     """
     known = [(number, e) for number, e in enumerate(results) if e.sensitivities]
     codes = [code for code in CHANGES if any(code == each.code for _, e in known for each in e.sensitivities)]
@@ -121,12 +121,12 @@ def sensitivity_figure(results: Sequence[ExperimentNumbers]) -> list[Figure]:
         "",
         ("", name),
         tuple(series),
-        f"Changes of the largest stable stiffness. {'; '.join(words)}.",
+        f"Changes in the largest stable stiffness. {'; '.join(words)}.",
         ((-0.6, len(codes) - 0.4), around(np.zeros(1), *values)),
         ticks=ticks,
     )
     caption = (
-        "Change of the largest stable stiffness of the identified loop by one sample less of delay, or without one of "
+        "Change in the largest stable stiffness of the identified loop due to one sample less of delay, or without one of "
         "its parts. A part with a positive bar limits the device; one with a negative bar keeps it stable."
     )
     return [
@@ -135,7 +135,7 @@ def sensitivity_figure(results: Sequence[ExperimentNumbers]) -> list[Figure]:
 
 
 def _changed(code: ChangeCode, space: str = " ") -> str:
-    """Return a change of a loop in words. The line may be broken at the ``space``."""
+    """Describe a change to a loop in words. The line may be broken at the ``space``."""
     return f"a sample less{space}of delay" if code == "delay" else f"without{space}{CHANGES[code]}"
 
 

@@ -259,7 +259,7 @@ def design(
         Path | None, option("--picture", "Picture of the largest K over T and delay: .svg, .pdf, .png.")
     ] = None,
 ) -> None:
-    """Find the smallest changes of a rig that allow the required wall.
+    """Find the smallest changes to a rig that allow the required wall.
 
     Example: pipeline design --device falcon --stiffness 5000 --overshoot 0
 

@@ -97,7 +97,7 @@ def stated_profile(stated: StatedColumns, paths: Sequence[Path], *, walls: bool 
     Raises
     ------
     UsageError
-        If a required column is not named or is missing in the files, or a unit is unknown or not stated.
+        If a required column is not named or is missing from the files, or a unit is unknown or not stated.
     ProfileError
         If the options contradict each other, or the command of a log follows a different wall.
     """
@@ -402,8 +402,7 @@ class _Maker:
             if len(against) == len(laws):
                 values["columns"]["position"]["sign"] = -1
                 self.evidence.append(
-                    "sign of the position is -1, because a positive command reduces the position in "
-                    f"{_logs(len(laws))}"
+                    f"sign of the position is -1, because a positive command reduces the position in {_logs(len(laws))}"
                 )
         column = _column_key(values["columns"]["command"])
         begun = [
