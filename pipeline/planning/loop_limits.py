@@ -57,7 +57,7 @@ class StepTrial:
     step : float
         F_0 [N, Nm].
     rows : int
-        Number of rows from the step on.
+        Number of rows from the step onward.
     quantum : float
         Resolution of the sensor [m, rad].
     jitter : float

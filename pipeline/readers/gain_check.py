@@ -1,7 +1,7 @@
 """Check whether the command of a log follows the gains in its header.
 
 If it does not, the gains that it does follow are found, with the line to correct. The wall law is u_k = F_0 - K (x_k
-- x_0) - B (x_k - x_{k-1})/(t_k - t_{k-1}) from the step on. Different gains are reported only if the wall law with
+- x_0) - B (x_k - x_{k-1})/(t_k - t_{k-1}) from the step onward. Different gains are reported only if the wall law with
 these gains explains the command. With a velocity filter, a clipped or one-sided wall, or a coarse sensor, the check may
 be inconclusive.
 """

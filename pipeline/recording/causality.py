@@ -14,7 +14,8 @@ BASELINE = 8
 """Smallest number of rows at rest before an edge that is needed to detect an early departure from rest."""
 
 LIKELIER = 6.0
-"""Log-likelihood ratio of growth to decay of a position at rest above which filtered noise is excluded as the cause."""
+"""Threshold for the log-likelihood ratio of growth to decay of a position at rest. Above it, filtered noise is excluded
+as the cause."""
 
 SURE = {False: 10.0, True: 18.0}
 """Threshold of the acceleration of a growth at an edge, in standard errors, for exponential and for oscillating growth.

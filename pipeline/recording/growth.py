@@ -44,7 +44,8 @@ BEHIND = 64
 """Number of rows after an edge from which the acceleration due to the edge is estimated."""
 
 SINGULAR = 1e-10
-"""Ratio of the energies of the two curves of a pair below which the smaller energy is a rounding error."""
+"""Threshold for the ratio of the energies of the two curves of a pair. Below it, the smaller energy is a rounding
+error."""
 
 LATEST = 32
 """Largest delay in the estimate of the acceleration due to an edge [rows]."""

@@ -32,11 +32,12 @@ AT_NOISE = 3.0
 """Largest rms residual, in standard deviations of the noise, for which a model explains a log."""
 
 ARITHMETIC = 1e-9
-"""Residual, relative to the motion, below which only rounding errors remain after a fit of a polynomial and
-friction."""
+"""Threshold for the residual, relative to the motion, after a fit of a polynomial and friction. Below it, only rounding
+errors remain."""
 
 BY_COMMAND = 4.0
-"""Ratio of the residuals without and with the command above which the motion is attributed to the command."""
+"""Threshold for the ratio of the residuals without and with the command. Above it, the motion is attributed to the
+command."""
 
 LIKELY_SHIFT = 40
 """Largest absolute delay at which the two signs of the gain are compared [rows]. At longer delays, a periodic command

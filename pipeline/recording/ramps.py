@@ -22,8 +22,8 @@ KINK = 1e-3
 """Smallest change of the slope of a command that counts as a kink, relative to its largest change per row."""
 
 OWN_STEPS = 1.25
-"""Ratio of the residuals for an interpolated command and for a zero-order hold above which the command is treated as
-steps."""
+"""Threshold for the ratio of the residuals for an interpolated command and for a zero-order hold. Above it, the command
+is treated as steps."""
 
 SAME_DELAY = 2.5
 """The same threshold for ramps that span one grid interval. It is larger because interpolated steps on the grid have a
@@ -46,12 +46,12 @@ LIKELIER = (-15.0, 20.0)
 the second limit on, it is treated as steps."""
 
 BETTER = 2.0
-"""Ratio of the residual sums of squares for ramps with one delay and for steps above which the command is treated as
-steps."""
+"""Threshold for the ratio of the residual sums of squares for ramps with one delay and for steps. Above it, the command
+is treated as steps."""
 
 OTHER_DELAYS = 8.0
-"""Ratio of the residual sums of squares for ramps with one delay and for steps above which ramps are in doubt, even if
-their shapes fit better, because their delays match steps on the grid."""
+"""Threshold for the ratio of the residual sums of squares for ramps with one delay and for steps. Above it, ramps are
+in doubt, even if their shapes fit better, because their delays match steps on the grid."""
 
 ITERATIONS = 6
 """Number of alternating estimates of the step times and their common gain. Three are sufficient."""

@@ -42,11 +42,11 @@ FEWEST_KNOTS = 4
 """Smallest number of kinks of a position or command from which a coarser grid of readings is inferred."""
 
 NO_CHANCE = 7.0
-"""Logarithm of the number of possible arrangements of kinks above which a grid is not attributed to chance, because
-only one of the arrangements is a grid."""
+"""Threshold for the logarithm of the number of possible arrangements of kinks. Above it, a grid is not attributed to
+chance, because only one of the arrangements is a grid."""
 
 STRAIGHT = 0.4
-"""Share of collinear rows among the moving rows above which a position counts as interpolated."""
+"""Threshold for the share of collinear rows among the moving rows. Above it, a position counts as interpolated."""
 
 MOVING = 2.0
 """Change per row, in units of the smallest kink, above which the position counts as moving."""

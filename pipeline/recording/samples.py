@@ -73,8 +73,8 @@ def last_digit(position: Floats) -> float:
 
 
 UNEVEN, MOST_UNEVEN = 0.05, 0.1
-"""Relative deviation of a time step from the median, and share of larger deviations, above which rows are treated as
-polled. A command may then have changed at any time between two rows."""
+"""Thresholds for the relative deviation of a time step from the median, and for the share of larger deviations. Above
+them, rows are treated as polled. A command may then have changed at any time between two rows."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,11 +18,12 @@ CLEAR = 8.0
 """Smallest displacement of a clear first motion, in noise standard deviations and in sensor steps."""
 
 OTHER_SIGN = 2.5
-"""Ratio of the residuals with the logged and with the opposite sign above which the opposite sign is correct."""
+"""Threshold for the ratio of the residuals with the logged and with the opposite sign. Above it, the opposite sign is
+correct."""
 
 DRIVEN = 3.0
-"""Ratio of the residuals without a command and with a reversed command above which the motion is a response to the
-command."""
+"""Threshold for the ratio of the residuals without a command and with a reversed command. Above it, the motion is a
+response to the command."""
 
 AS_GOOD = 1.3
 """Largest ratio of the residual for the best plausible delay with a reversed sign to the residual for the best of all

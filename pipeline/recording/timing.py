@@ -15,8 +15,8 @@ EVEN = 0.01
 period by 1 % changes the mass by 2 %."""
 
 SURE = 4.0
-"""Difference between the median time step and the stated period, in standard errors, above which one of the two is
-wrong. By chance, it is exceeded in 6e-5 of the logs."""
+"""Threshold for the difference between the median time step and the stated period, in standard errors. Above it, one of
+the two is wrong. By chance, the threshold is exceeded in 6e-5 of the logs."""
 
 MISSING = 1.5
 """Smallest time step, in periods, that indicates missing rows, because it rounds to 2 or more."""

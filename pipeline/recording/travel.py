@@ -9,7 +9,7 @@ from pipeline.records.findings import Finding
 from pipeline.records.trials import Booleans
 
 AT_EXTREME = 0.02
-"""Distance from the largest or smallest position, relative to the range, within which rows count as being at the
+"""Largest distance from the largest or smallest position, relative to the range, at which rows count as being at the
 extreme."""
 
 IMPACT, BRAKE = 3.0, 6.0
@@ -39,8 +39,8 @@ STEPS = 8.0
 """Smallest change of the velocity at a stop, in sensor steps per row."""
 
 STILL = (1.2, 4.0, 0.02)
-"""Distance from a stop within which the position counts as resting at the stop: in sensor steps, in standard deviations
-of the noise, and in rows at the speed before the stop."""
+"""Largest distance from a stop at which the position counts as resting at the stop: in sensor steps, in standard
+deviations of the noise, and in rows at the speed before the stop."""
 
 
 def travel_stop(samples: Samples) -> Finding | None:

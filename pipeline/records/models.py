@@ -275,8 +275,8 @@ are stable with any spring (4.3.3).
 
 
 MOMENTUM_WINDOW_S = 0.015
-"""Length of the window of the momentum balance, from the command edge on (6.1.2). With a longer window, the velocity
-would saturate real drives."""
+"""Length of the window of the momentum balance, starting at the command edge (6.1.2). With a longer window, the
+velocity would saturate real drives."""
 
 
 class Measuring(Record):
@@ -290,7 +290,7 @@ class Measuring(Record):
         Delay [samples] for the momentum balance (6.1.2: 5). By default, the delay from the first change of the
         position.
     momentum_window_s : float
-        Length of the window of the momentum balance, from the command edge on [s].
+        Length of the window of the momentum balance, starting at the command edge [s].
     """
 
     final: Literal["expected", "measured"] = "expected"

@@ -33,7 +33,8 @@ TIGHT = 0.1
 """Half width of an interval [% of its value]. Below it, both ends would have the same three digits."""
 
 NEAR_ZERO = 0.2
-"""Share of its upper bound below which a parameter that may be zero is reported as not found."""
+"""Threshold for a parameter that may be zero, relative to its upper bound. Below it, the parameter is reported as not
+found."""
 
 ALL_BUT_ROUNDING = 1e-9
 """Tolerance within which a share counts as 1 and a cost counts as 0. Sums of 1e4 terms have rounding errors of

@@ -58,7 +58,7 @@ OPEN_FILES = 8
 limited."""
 
 LARGE_TRIALS, LARGE_BYTES = 2048, 256 << 20
-"""Number of trials, and size of the file [byte], above which ingest does not merge a batch."""
+"""Largest number of trials, and largest size of the file [byte], of a batch that ingest merges."""
 
 
 Key = tuple[str, str, str]

@@ -52,7 +52,7 @@ DECISIONS: dict[Decision, str] = {
     "undecided": "neither identified nor excluded: included as unknown",
     "imitated": "removed: a part that was accepted later explains the same motion",
     "no start": "rejected: at its best starting value, the gain is too small",
-    "white noise": "rejected: with the noise of the readings alone, the gain is too small",
+    "white noise": "rejected: with the measurement noise alone, the gain is too small",
     "random force": "rejected: with the random force of the device, the gain is too small",
     "size": "rejected: its size cannot be distinguished from zero",
     "gain": "rejected: the gain is too small",

@@ -702,7 +702,8 @@ def _loop_document(apart: _Found, drift: str, velocity: WallFilter | None) -> di
 def wall_loop(document: dict[str, Any], **other: float) -> LoopRecord | None:
     """Return the linear loop of a document for the wall that it would render.
 
-    ``other`` replaces numbers of the document, with keys from `LINEAR`. The result is None without mass or delay.
+    ``other`` replaces numbers of the document, with keys from `LINEAR`. The result is None if the mass or the delay is
+    unknown.
     """
     loop, wall = document["loop"], document["wall"]
     value = {name: loop[name]["value"] if loop[name] else None for name in LINEAR} | other

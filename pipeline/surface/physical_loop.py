@@ -259,9 +259,9 @@ class Loop(device_loop.Loop):
         Returns
         -------
         pandas.DataFrame
-            ``damping`` B, and ``stiffness`` K [N/m, Nm/rad] below which all walls are stable in linear theory, accurate
-            to 1e-9 (nan if no wall is stable). With a ``step``, also ``stiffness_step``, the softest wall that is
-            unstable for this step, which reports show with the measured limits, and ``stiffness_step_open``, half of
+            ``damping`` B, and ``stiffness`` K [N/m, Nm/rad], accurate to 1e-9. In linear theory, all walls below this K
+            are stable. K is nan if no wall is stable. With a ``step``, also ``stiffness_step``, the softest wall that
+            is unstable for this step, which reports show with the measured limits, and ``stiffness_step_open``, half of
             the range in which the simulated logs are undecided. ``stiffness_step`` is nan if no unstable wall is found
             in the search, which extends upwards from the linear limit by 1.5 times the largest linear limit. A larger
             step makes softer walls unstable, down to ``stiffness``.

@@ -561,8 +561,8 @@ NO_WALL = 1e-8
 below any real wall."""
 
 CONVERGED, STRAIGHT, NARROW = 1e-8, 0.01, 1e-15
-"""Newton step in ln s, and relative change of the slope, below which the next step is below rounding, and relative
-width of a bracket that is treated as rounding."""
+"""Thresholds for the Newton step in ln s and for the relative change of the slope, below which the next step is a
+rounding error. The third number is the largest relative width of a bracket that is treated as rounding."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -157,7 +157,7 @@ class _Lines:
         return _Lines(self.loop, self.given[which], self.low[which], self.high[which], self.stiffness_given)
 
     def late_deviation(self, first: Floats) -> LineCost:
-        """Return the largest deviation from sample ``first`` on, which may differ between lines."""
+        """Return the largest deviation from sample ``first`` onward. This sample may differ between lines."""
         decided = int(_DECIDED * (self.loop.delay + 1))
 
         def deviation(alpha: Floats, beta: Floats, _: float, begin: Floats) -> Floats:
@@ -268,8 +268,8 @@ def _steps(lines: _Lines, criterion: str) -> Floats:
     """Return the optima of the discrete settling time. The number of samples of each line is decreased as long as it is
     possible.
 
-    A number of samples n is possible on a line if the largest deviation from sample n on is inside the band somewhere
-    on the line. This deviation is a continuous function.
+    A number of samples n is possible on a line if the largest deviation from sample n onward is inside the band
+    somewhere on the line. This deviation is a continuous function.
     """
     band = band_of(criterion)
     first_look = lines.search(settling(lines.loop, criterion, _LONGEST), levels=0)

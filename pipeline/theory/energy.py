@@ -50,7 +50,7 @@ LONGEST_SUM = 1 << 18
 """Largest number of samples of a sum with a non-integer exponent, for a spectral radius of about 1 - 1e-4."""
 
 _BLOCK_SAMPLES, _NOTHING = 64, 1e-17
-"""Number of samples per block of such a sum, and share of the sum below which a block is negligible."""
+"""Number of samples per block of such a sum, and largest share of the sum at which a block is negligible."""
 
 _ROUNDED, _ROUNDED_LONG = 1e-13, 2e-13
 """Largest estimated relative rounding errors of a sum. The estimate is usually correct within a factor of three."""

@@ -8,7 +8,8 @@ poles bound the remaining motion, in three steps.
    and Aberth). The eigenvectors follow from the adjugate. If roots coincide, eigenvectors of the whole matrix are
    inputs.
 2. Mode m has the size c_m over a sampling interval (hull of its Bernstein coefficients) and the decay s_m. The
-   deviation from sample k on is at most sum_m c_m exp(-s_m k). If this sum is inside a band, the response stays inside.
+deviation from sample k onward is at most sum_m c_m exp(-s_m k). If this sum is inside a band, the response stays
+inside.
 3. The modes move the response to some samples before this time. It is then simulated to the end, which gives the last
    entry into the band. For the overshoot, it is simulated while the sum of the modes that can exceed the final position
    is larger than the peak.
@@ -271,9 +272,9 @@ def march(
     span : tuple of int
         First and last sample, first band to check, and the band after the last one to check.
     requested : tuple
-        ``bands``, whether overshoot and motion between samples are requested, memory of the loop in samples, share of a
-        band or a peak below which motion is small, deviation that is not an overshoot, and cutoff, which is a settling
-        time, or an overshoot if there are no bands.
+        ``bands``, whether overshoot and motion between samples are requested, memory of the loop in samples, threshold
+        of small motion as a share of a band or a peak, deviation that is not an overshoot, and cutoff, which is a
+        settling time, or an overshoot if there are no bands.
 
     Notes
     -----
@@ -793,7 +794,7 @@ def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, requested: Arrays
 
 @compiled(f"void({INTERVAL},{WALLS},Tuple((f8[::1],i8,i8,f8)),Tuple((f8[::1],f8[:,::1],i8)))")
 def late_deviations(interval: Arrays, walls: Arrays, requested: Arrays, out: Arrays) -> None:
-    """Compute the largest deviation of each response from a given sample on.
+    """Compute the largest deviation of each response from a given sample onward.
 
     ``requested`` contains these samples, shape (n,), the last sample, the memory of the loop, and a share of the
     largest deviation. A response ends when all motion has been below this share for the memory of the loop. ``out``

@@ -30,8 +30,8 @@ _NEAR_ZERO = 8e-3
 angle, and is extrapolated to 0 with an error of 1e-9."""
 
 _SLOW, _STILL = 0.3, 1e-4
-"""Corner frequency of a velocity filter [rad/sample] below which small angles are examined, and smallest such angle
-relative to the corner."""
+"""Threshold for the corner frequency of a velocity filter [rad/sample], and smallest examined angle relative to this
+frequency. Small angles are examined below the threshold only."""
 
 _SLOW_ANGLES, _SLOW_STARTS = 241, 6
 """Number of these angles, which are logarithmically spaced, and number of peaks that are refined."""

@@ -40,8 +40,8 @@ _SETTLED = 0.1
 of the loop."""
 
 _FADED = 0.25
-"""Threshold for the motion as a share of the largest deviation from a sample on. All motion must stay below it for the
-memory of the loop."""
+"""Threshold for the motion as a share of the largest deviation from a sample onward. All motion must stay below it for
+the memory of the loop."""
 
 _ENTRIES = 1 << 22
 """Number of eigenvector entries that are computed together."""

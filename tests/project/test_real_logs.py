@@ -215,5 +215,5 @@ def test_a_heater_shows_no_force_beside_its_command(stored):
     assert experiment.outcomes == {"moving": 1}
     # no theory rests on a loop that is not adequate, and the page does not say that one does
     warned = " ".join(compare("tclab", stored).result.warnings)
-    assert "has no device file: no theory." in warned
+    assert "has no device file: no theoretical prediction is possible." in warned
     assert "another device" not in warned

@@ -219,7 +219,8 @@ class _Experiment:
         return [self._entry(row, measured[place], alone.get(place)) for place, row in enumerate(rows)]
 
     def _entry(self, row: int, of: MeasuredTrial, alone: Floats | None) -> JsonObject:
-        """Return the response of a trial, with the response of the device without a wall from the command edge on."""
+        """Return the response of a trial, with the response of the device without a wall from the command edge
+        onward."""
         trial, response, ghost = of.logged, of.response, np.full(of.logged.rows, np.nan)
         edge = max(response.edge_row, 0)
         if alone is not None:

@@ -268,7 +268,7 @@ def _limit_errors(result: MeasuredExperiment, predicted: Floats) -> tuple[Floats
 
 
 def motion(of: MeasuredTrial) -> Floats:
-    """Return the positions of a trial from the step on, relative to rest, shape (rows,) [m, rad]."""
+    """Return the positions of a trial from the step onward, relative to rest, shape (rows,) [m, rad]."""
     return of.trial.position[max(of.response.edge_row, 0) :] - of.response.position_start
 
 

@@ -310,7 +310,7 @@ def _prediction(result: ExperimentNumbers, rows: Sequence[ComparisonRow], misled
     if region is None and (rubbed := _with_friction(result)) is not None:
         return judged(code="with_friction", percent_with_friction=_percent(rubbed), limits=rubbed.dampings)
     if region is None or distance is None:
-        return judged(code="unknown", reason="no theory to compare limits with")
+        return judged(code="unknown", reason="no theoretical prediction to compare limits with")
     if not _known(result):
         why = (
             f"no trial was unstable at any of {counted(region.dampings, 'tested damping')}; according to theory, "

@@ -24,9 +24,9 @@ LIMITS_SOUGHT = 0.05, 0.99, 150
 
 CLEARLY, RANDOM_COMMAND = 3.0, 0.3
 """Two thresholds. The first is the smallest rms excess of commands over a force limit, relative to the noise of the
-command. The excess of pure noise has an rms of 1. The second is the noise of a command, relative to its standard
-deviation, above which the command itself is random. Independent levels in every row have a noise of about 1, and the
-noise of measured currents is below 0.1."""
+command. The excess of pure noise has an rms of 1. The second is a threshold for the noise of a command, relative to its
+standard deviation. Above it, the command itself is random. Independent levels in every row have a noise of about 1, and
+the noise of measured currents is below 0.1."""
 
 LIMIT_SPREADS = (0.015, 0.005, 0.0015)
 """Relative steps of the search for a force limit near the best value. The force balances of a ramp far beyond the limit

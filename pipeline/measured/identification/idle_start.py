@@ -38,8 +38,8 @@ SMALL_COMMAND = 0.05
 
 SUDDEN = 50.0
 """Smallest displacement after the first motion, within a time as long as the time before it, relative to a visible
-displacement. A force that is constant from the start on would cause a ninth of it, because the displacement grows with
-the square of the time."""
+displacement. A force that is constant from the start would cause a ninth of it, because the displacement grows with the
+square of the time."""
 
 COMPARABLE = 0.3
 """Smallest command without effect, relative to the command that sets the device in motion."""

@@ -32,8 +32,8 @@ FREE_STARTS = 3
 """Number of Newton steps for the initial states of free runs, which are linear except for friction."""
 
 SETTLED = 1e-4
-"""Predicted decrease of the squared errors of a free run, relative to its mean squared error, below which its initial
-state is settled. The log-likelihood then changes by half of this value."""
+"""Threshold for the predicted decrease of the squared errors of a free run, relative to its mean squared error. Below
+it, the initial state of the run is settled. The log-likelihood then changes by half of this value."""
 
 DIVERGED = 1e6
 """Position of a free run that overflows from all initial states, in units of the largest travel of the logs."""

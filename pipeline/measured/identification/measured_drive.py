@@ -202,7 +202,7 @@ class _Fit:
 
     @classmethod
     def of(cls, logs: Logs, shape: _Shape, rows: Sequence[int]) -> _Fit:
-        """Return the fit of a shape to the rows of logs from a first row on."""
+        """Return the fit of a shape to the rows of logs from a first row onward."""
         applied, force = _columns(logs, shape, rows)
         columns = np.stack([applied, np.ones(len(applied))], axis=1)
         gain, offset = np.linalg.lstsq(columns, force, rcond=None)[0]
@@ -229,7 +229,7 @@ class _Fit:
 
 
 def _columns(logs: Logs, shape: _Shape, rows: Sequence[int]) -> tuple[Floats, Floats]:
-    """Return applied commands and measured forces of all logs from a first row on."""
+    """Return applied commands and measured forces of all logs from a first row onward."""
     applied = [_applied(command, shape)[first:] for (command, _), first in zip(logs, rows, strict=True)]
     return np.concatenate(applied), np.concatenate(
         [force[first:] for (_, force), first in zip(logs, rows, strict=True)]

@@ -57,7 +57,8 @@ ENOUGH = 1e-6
 """Threshold for the predicted gain of log-likelihood. Below it, the search for variances ends."""
 
 SWEEPS, NOTHING = 30, 1e-150
-"""Largest number of sweeps of rotations for eigenvalues (six are typical), and size below which an element is zero."""
+"""Largest number of sweeps of rotations for eigenvalues (six are typical), and threshold below which an element counts
+as zero."""
 
 
 @part

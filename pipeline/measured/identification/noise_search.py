@@ -113,7 +113,7 @@ class NoiseCost:
         own_force = np.add.reduceat(pushed * errors, columns.first) / squares
         errors = errors - pushed * np.repeat(own_force, some.rows + columns.starts)
         rows = np.maximum(some.rows - columns.known - 1, 1)
-        # jitter causes forces, whose variance is relative to the noise of a reading
+        # jitter causes forces, whose variance is relative to the measurement noise
         left = np.add.reduceat(errors**2, columns.first)
         variance = np.full(len(some), reading * self.white) if jitter else np.maximum(left / rows, some.least)
         lost = 0.5 * float((rows * np.log(variance) + left / variance + np.log(squares)).sum()) + columns.lost

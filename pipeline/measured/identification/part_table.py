@@ -159,12 +159,12 @@ Decision = Literal[
 """Result of the test of a part. All except the first two are reasons for a rejection.
 
 ``imitated``: another part explains the same motion. ``no start``, ``white noise``, ``random force``: the gain is too
-small at the best starting value, with only the noise of the readings, or with the random force of the device,
-respectively. ``size``: the part cannot be distinguished from a part of size 0. ``gain``: the gain is below the required
-gain. ``left out``: the gain for logs left out is below the required gain. ``at a limit``: a number of the part is at a
-limit of its search. ``command noise``: a force limit would clip only the noise of the command. ``free runs``: the
-errors of free runs and the random force do not fall enough. ``small errors``: free runs without the part are as
-accurate as the readings. ``no load``: the mass of the load of a mode is not identifiable.
+small at the best starting value, with only the measurement noise, or with the random force of the device, respectively.
+``size``: the part cannot be distinguished from a part of size 0. ``gain``: the gain is below the required gain. ``left
+out``: the gain for logs left out is below the required gain. ``at a limit``: a number of the part is at a limit of its
+search. ``command noise``: a force limit would clip only the noise of the command. ``free runs``: the errors of free
+runs and the random force do not fall enough. ``small errors``: free runs without the part are as accurate as the
+readings. ``no load``: the mass of the load of a mode is not identifiable.
 """
 
 

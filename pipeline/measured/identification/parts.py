@@ -436,7 +436,7 @@ def _tested(some: Segments, alone: Device, part: Part, fits: tuple[Fit, Fit]) ->
     """Return the fit with an additional part, or None if the part is not required, and the test.
 
     The search begins near the device ``alone``. The ``fits`` without the part are one with all noise (``plain``) and
-    one with only the noise of the readings (``white``). A real part makes the motion more likely in both cases.
+    one with only the measurement noise (``white``). A real part makes the motion more likely in both cases.
     """
     plain, white = fits
     start, noise = _having(some, alone, part), plain.device.noise

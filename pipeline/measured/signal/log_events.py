@@ -108,7 +108,7 @@ def _arrivals(x: Floats, edge: int, near: Booleans, floor: float) -> Integers:
     x : float64, shape (rows,)
     edge : int
     near : bool, shape (rows - edge,)
-        Whether the device is at the extreme in each row from the edge on.
+        Whether the device is at the extreme in each row from the edge onward.
     floor : float
         Sensor floor [m, rad].
     """

@@ -94,7 +94,7 @@ class _Evidence:
     def too_short(self) -> str:
         samples = self.trial.rows - self.response.edge_row
         return (
-            f"the log has {samples} samples from the step on, {self.free} of them in free motion, but needs "
+            f"the log has {samples} samples from the step onward, {self.free} of them in free motion, but needs "
             f"{FEWEST_SAMPLES}"
         )
 

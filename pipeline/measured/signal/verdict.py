@@ -204,10 +204,10 @@ def _judge(trial: Trial, response: Response, cause: _Excitation) -> Verdict:
 def _free_motion(trial: Trial, response: Response, free: int) -> tuple[Floats, int]:
     """Return the free motion without a constant part, shape (samples,), and its first row.
 
-    In a free motion, the input is constant and fills the delay line. The input is constant from the edge on, or from
-    ``free`` on if that is given. The first movement after the edge shows one delay. After a second delay, commands from
-    before the step have no effect. With a wall, the free motion is the change between samples. With K = 0, it is the
-    second difference over a third of the motion, which removes uniform motion.
+    In a free motion, the input is constant and fills the delay line. The input is constant from the edge onward, or
+    from ``free`` onward if that row is given. The first movement after the edge shows one delay. After a second delay,
+    commands from before the step have no effect. With a wall, the free motion is the change between samples. With K =
+    0, it is the second difference over a third of the motion, which removes uniform motion.
     """
     edge = max(response.edge_row, 0)
     moved = np.abs(trial.displacement[edge + 1 :]) > response.floor

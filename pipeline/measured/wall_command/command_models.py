@@ -151,7 +151,7 @@ def _one_sided(log: LogRows) -> Departures | None:
 
 
 def _offset(log: LogRows) -> Departures | None:
-    """Explain a command by a constant that is added to the law, from the first row or from the step on."""
+    """Explain a command by a constant that is added to the law, starting at the first row or at the step."""
     value = _constant(log, log.kept)
     if value is not None:
         text = f"the command includes a constant {value:.4g} in addition to the wall law"

@@ -1,9 +1,9 @@
 """Compare a logged command with the wall law, and find the cause of a departure, only from the log.
 
-The law is u_k = F_k - K (x_k - x_0) - B (x_k - x_{k-1})/T, with F_k = 0 before the edge and F_k = F_0 from the edge on.
-If the controller applies this law, the residual u + K (x - x_0) + B dx/T - F contains only rounding errors. Otherwise,
-the shape of the residual shows the cause: `CANDIDATES` are compared with the command in the order of their number of
-free parameters.
+The law is u_k = F_k - K (x_k - x_0) - B (x_k - x_{k-1})/T, with F_k = 0 before the edge and F_k = F_0 from the edge
+onward. If the controller applies this law, the residual u + K (x - x_0) + B dx/T - F contains only rounding errors.
+Otherwise, the shape of the residual shows the cause: `CANDIDATES` are compared with the command in the order of their
+number of free parameters.
 """
 
 from __future__ import annotations

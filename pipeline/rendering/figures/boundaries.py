@@ -36,7 +36,7 @@ OVERLAYS: dict[str, Overlay] = {
 NOT_DRAWN: dict[Overlay, str] = {
     "estimates": "no loop was identified",
     "band": "no loop was identified",
-    "linear": "no theory",
+    "linear": "no theoretical prediction",
     "passive": "not proven by these logs, or too small to be seen; the table of identified loops states the reason",
     "friction": "no friction was found",
     "robust": "known for a damped mass with a delay alone, and there are other parts or no damping",

@@ -85,7 +85,7 @@ def optima_tables(
                 show_percent,
                 aside=_parts,
                 notes=_has_parts,
-                why="no theory, or the cost of theory is zero",
+                why="there is no theoretical cost, or it is zero",
                 optional=True,
             ),
             Column(
@@ -280,7 +280,7 @@ def delay_form_table(rows: Sequence[Row]) -> Table | None:
             -1,
             Column(f"{name}/damped", "with measured damping", "", group, show, why="no other damping", optional=True),
         )
-        why, aside = "no theory or no cost", partial(_tested_text, name)
+        why, aside = "no theoretical prediction or no cost", partial(_tested_text, name)
         columns.append(Column(f"{name}/deviation", "deviation", "%", group, show_percent, aside=aside, why=why))
     caption = f"{table_label(swept)}: optimal costs of the sampled response over total delay"
     ordered = [lines[delay] for delay in sorted(lines)]

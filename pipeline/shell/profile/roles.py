@@ -215,7 +215,7 @@ def _has_unit_of(sample: Sample, role: str, name: str) -> bool:
 
 
 def _constant_command(sample: Sample, time: str, still: Sequence[str]) -> Answer | None:
-    """Return a command that is constant from the first row on, identified by its name or by other trials of the
+    """Return a command that is constant from the first row onward, identified by its name or by other trials of the
     file."""
     constant = [name for name in still if name != time and sample.numbers[name][0] and not np.ptp(sample.numbers[name])]
     differing = [name for name in constant if len(set(values_of_trials(sample, name))) > 1]

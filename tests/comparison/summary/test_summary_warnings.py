@@ -80,6 +80,6 @@ def test_logs_that_contradict_the_device_file_are_named(tmp_path):
     assert report.ingested == 2, report.quarantined
     outcome = compare("falcon", tmp_path / "processed", criteria=["energy_step_w0"])
     text = " ".join(outcome.result.warnings)
-    assert "has no experiment my own: no theory from it" in text
+    assert "has no experiment my own, so no theoretical prediction is based on it" in text
     assert "Experiment 1 was sampled every 0.002 s, but theory takes 0.001 s" in text
     assert "my own was sampled" not in text
