@@ -171,7 +171,7 @@ def decimal(value: float, places: int) -> str:
 def significant(value: float, digits: int) -> str:
     """Return a number rounded to significant digits.
 
-    Numbers with at most seven digits before the decimal sign have no exponent.
+    Numbers with at most seven digits before the decimal point have no exponent.
     """
     if value == 0 or not math.isfinite(value):
         return "0" if value == 0 else MISSING
@@ -209,7 +209,7 @@ def overshoot_note(best: Optimum) -> str | None:
         return None
     threshold = f"{at_least(100 * best.resolution)} %"
     if best.free_of_overshoot:
-        alone = " Walls next to it overshoot by more: it is no region, but a single trial." if best.is_alone else ""
+        alone = " Neighbouring walls overshoot by more, so it is no region but a single trial." if best.is_alone else ""
         return f"Without overshoot: up to {threshold} is within the resolution of this log (5.12).{alone}"
     return (
         f"No stable trial is known to be without overshoot; the resolution of this log is {threshold}. "
@@ -220,7 +220,7 @@ def overshoot_note(best: Optimum) -> str | None:
 def damping_range_text(around: DampingRange) -> str:
     """Return the dampings at which a stiffness is stable. Ends are rounded inwards.
 
-    An open end is marked, except that of no damping.
+    An open end is marked, except at zero damping.
 
     >>> damping_range_text(DampingRange(low=22.31, high=184, low_is_limit=True, high_is_limit=False, margin=1.2))
     '22.4 to at least 184'
@@ -243,8 +243,8 @@ def _towards(value: float, digits: int, whole: Callable[[float], int]) -> float:
 
 
 def stiffness_text(value: float) -> str:
-    """Return a stiffness as printed in Tables D.1 to D.5. From 100 on, it is an integer. Below, it has at most four
-    digits.
+    """Return a stiffness as printed in Tables D.1 to D.5. At 100 or more, it is an integer. Below 100, it has at most
+    four digits.
 
     >>> stiffness_text(4469.4), stiffness_text(4.5), stiffness_text(33.25)
     ('4469', '4.5', '33.25')
@@ -267,7 +267,8 @@ def _shortest(text: str) -> str:
 
 
 def cost_text(criterion: str, value: float) -> str:
-    """Return a cost as printed in Tables D.1 to D.6. It has two decimals, or one from 1000 on. Overshoot is in %."""
+    """Return a cost as printed in Tables D.1 to D.6. It has two decimals, or one if it is at least 1000. Overshoot is
+    in %."""
     printed = value * printed_scale(criterion)
     return decimal(printed, 2 if abs(printed) < 1000 else 1)
 
@@ -328,7 +329,8 @@ def answer_texts(estimate: AnswerEstimate) -> tuple[str, str]:
     """Return the value of an estimate of the first screen with its unit, and its interval, as text.
 
     A parameter that cannot be negative and is not distinguished from zero is ``none``, with its upper bound. An
-    interval narrower than `TIGHT` on both sides of its value is one relative number, because equal digits say nothing.
+    interval narrower than `TIGHT` on both sides of its value is printed as one relative number, because equal digits
+    are not informative.
 
     >>> answer_texts(AnswerEstimate(name="mass", value=0.1900002, low=0.1899991, high=0.1900013, unit="kg"))
     ('0.1900 kg', 'within 0.001 %')
@@ -383,7 +385,7 @@ def relative_text(value: float, low: float, high: float) -> str:
 
 
 def fixed_digits(value: float, digits: int) -> str:
-    """Return a number with significant digits, of which zeros after the decimal sign are kept.
+    """Return a number with significant digits, of which zeros after the decimal point are kept.
 
     >>> fixed_digits(2.00003, 4), fixed_digits(10845.2, 4)
     ('2.000', '10845')

@@ -81,7 +81,7 @@ def test_groups_of_very_short_logs(rows, count, edge, tmp_path):
     assert result.experiments[0].verdicts == {"undecided": count}
     assert without_reasons(result) == []
     assert ".." not in result.answer.estimates_reason.replace("...", "")
-    assert any("No trial is decided" in text for text in result.warnings)
+    assert any("no trial is decided, so there is no limit" in text for text in result.warnings)
 
 
 @pytest.mark.sampled

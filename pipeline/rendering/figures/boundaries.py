@@ -39,7 +39,7 @@ NOT_DRAWN: dict[Overlay, str] = {
     "linear": "no theoretical prediction",
     "passive": "not proven by these logs, or too small to be seen; the table of identified loops states the reason",
     "friction": "no friction was found",
-    "robust": "known for a damped mass with a delay alone, and there are other parts or no damping",
+    "robust": "known only for a damped mass with a delay, but the loop has other parts or no damping",
 }
 """Reason why a requested overlay is missing from the figure of a single experiment."""
 
@@ -47,7 +47,8 @@ TESTED = ("measured", "bound", "stable", "unstable")
 """Kinds of series with tested walls."""
 
 REACHED = 0.9
-"""Smallest ratio of the largest tested damping to theory's largest stable one for which the tests cover the region.
+"""Smallest ratio of the largest tested damping to the largest stable damping of theory for which the tests cover the
+region.
 
 Beyond nine tenths, theory's limit has fallen to a quarter of its maximum.
 """
@@ -66,8 +67,8 @@ def measured(
     """Yield the measured limit at each damping, and lower bounds as a separate series.
 
     A limit comes from the growth rates, otherwise it is the middle between the last stable and the first unstable
-    trial. The line has a gap where no limit is known. A damping without a stable trial closes the line at K = 0 if its
-    unstable trial is as close to 0 as the trials are to each other around another limit.
+    trial. The line has a gap where no limit is known. At a damping without a stable trial, the line ends at K = 0 if
+    the unstable trial is as close to 0 as the two trials around another limit are to each other.
 
     With ``intervals``, limits are drawn with their 95 % intervals, or with these two trials as ends.
     """
@@ -203,7 +204,7 @@ def answer_figure(
         "Every trial, and the limit of stability at each damping, estimated from the growth rates of the trials."
     ]
     if any(point.low for point in result.boundary):
-        caption.append("Within its interval, the verdict of a single trial may be on either side.")
+        caption.append("Within the interval of a limit, a single trial may be stable or unstable.")
     if result.use is not None and result.use.trials > 1:
         caption.append("Box: walls of low cost around the recommended one, all stable and far from the limit.")
     caption += _at_least(series)
@@ -238,9 +239,9 @@ def plane_figure(entries: Sequence[tuple[str, ExperimentNumbers, Theory, int]], 
         series += [replace(s, x=s.x / k, y=s.y / b) for s in both]
     panel = limits_panel("", series, "translation", ("α = K T²/m", "β = B T/m"))
     caption = (
-        f"Measured limits{' and theory (dashed, same colour)' if predicted else ''}. Experiments that differ in mass "
-        "or sampling period alone coincide here; what still differs is delay, relative damping δ = b T/m, or missing "
-        "in the model."
+        f"Measured limits{' and theory (dashed, same colour)' if predicted else ''}. Experiments that differ only in "
+        "mass or sampling period coincide here. The remaining differences are due to the delay, the relative damping "
+        "δ = b T/m, or parts missing from the model."
     )
     words = f"Stability limits in the normalised plane: {', '.join(label for label, *_ in entries)}."
     return limits_figure(
@@ -295,8 +296,8 @@ def boundary_figures(
         caption = "Pale bars: 95 % intervals of the measured limits."
         if shown.has_overlay("estimates"):
             caption += (
-                " Identified loop, shaded its 95 % interval: the limit that the loop found in the logs predicts at "
-                "each damping, friction included."
+                " Identified loop, with its 95 % interval shaded: limit at each damping that is predicted by the loop "
+                "found in the logs, including friction."
             )
         there = {OVERLAYS[s.kind] for series in drawn for s in series if s.kind in OVERLAYS}
         missing = [f"{name} ({NOT_DRAWN[name]})" for name in shown.overlays or () if name in NOT_DRAWN.keys() - there]

@@ -57,7 +57,7 @@ def trend_figure(result: ComparisonResult) -> list[Figure]:
         panels.append(
             Panel(name, ("", name), tuple(series), f"{name} over experiments: {values}.", limits, ticks=ticks)
         )
-    caption = f"Values with their 95 % intervals; below each its header line ({rows[0]['line'].partition(':')[0]})."
+    caption = f"Values with their 95 % intervals. Each has its header line ({rows[0]['line'].partition(':')[0]}) below."
     title = "Limits and estimates over the experiments"
     return [Figure("trend", "trend", title, caption, tuple(panels), size=(350.0, 250.0))]
 
@@ -87,8 +87,9 @@ def replay_figure(result: ComparisonResult) -> list[Figure]:
         limits = around(*walls.values()), (0.0, top)
         panels.append(Panel(f"over {name}", (f"{name} {unit}", "residual [%]"), series, words, limits))
     caption = (
-        "Logged minus predicted position, relative to the logged motion, at every stable wall, by a fit without that "
-        "wall. They are large where a part is missing from the loop, or friction scatters and the motion is small."
+        "Logged minus predicted position, relative to the logged motion, at every stable wall. The loop is fitted "
+        "without this wall. Residuals are large where a part is missing from the loop, or where friction scatters and "
+        "the motion is small."
     )
     title = "Residuals of the identified loop at all walls"
     return [Figure("response", "replay", title, caption, tuple(panels), size=(350.0, 250.0))]
@@ -162,8 +163,8 @@ def delay_figure(rows: Sequence[ComparisonRow]) -> list[Figure]:
             axes = "total delay d [samples]", with_unit("optimal cost", criterion_of(criterion).family.printed_unit)
             panels.append(Panel(name, axes, tuple(series), words, limits))
         caption = (
-            "Costs of the sampled response at the optimum, theory and experiment. What theory costs on the walls that "
-            "were tested is no error of theory: the optimum lies between them. In the manner of Fig. 6.12."
+            "Costs of the sampled response at the optimum, theory and experiment, as in Fig. 6.12. The additional "
+            "cost of theory at the tested walls is no error of theory, because its optimum lies between them."
         )
         if any(row.condition == "theory_damped" for row in own):
             caption += " Dashed: theory with the damping that the logs show in place of the device file's."

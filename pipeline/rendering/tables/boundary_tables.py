@@ -36,9 +36,9 @@ from pipeline.rendering.tables.formats import (
 )
 from pipeline.rendering.tables.trial_links import TrialPage
 
-STABLE_ABOVE = "Here, a single stable trial lies above the limit: near it, the verdicts of trials scatter."
+STABLE_ABOVE = "A single stable trial lies above this limit, because verdicts scatter near a limit."
 
-UNDECIDED_BELOW = "A trial below it is undecided: look at it, or repeat it."
+UNDECIDED_BELOW = "A trial below this limit is undecided. Inspect it, or repeat it."
 
 
 REGION = "over the tested dampings, the measured region is"
@@ -189,9 +189,11 @@ def _score_row(row: Row) -> str:
 
 
 def measured_damping_notes(result: ComparisonResult) -> list[str]:
-    """Return what the measured damping explains of the scores, one sentence for each experiment with another damping.
+    """Describe the effect of the measured damping on the scores, in one sentence for each experiment with another
+    damping.
 
-    A last sentence names the experiments in which it explains nothing. The list is empty without a device file.
+    The last sentence names the experiments in which this damping explains nothing. The list is empty without a device
+    file.
     """
     notes, same = [], []
     for e in result.experiments if result.known_device else ():
@@ -291,7 +293,8 @@ def shape_words(line: StraightBound) -> str | None:
 
 
 def _compared(line: StraightBound) -> str:
-    """Return up to which damping the curvatures are compared, if theory has no stable wall beyond. Otherwise empty."""
+    """Return the damping up to which the curvatures are compared, if theory has no stable wall beyond it. Otherwise
+    empty."""
     if line.curvature_last is None or line.curvature_last >= line.damping_last:
         return ""
     return f"up to B = {line.curvature_last:g}: beyond it, theory has no stable wall"
@@ -351,7 +354,7 @@ def region_sentence(result: ExperimentNumbers) -> str:
     together = f"All numbers and parts of the logs together change it by {percent_text(causes.together_percent)} %"
     low, high = 100 * (region.area_ratio_low - 1), 100 * (region.area_ratio_high - 1)
     explained = ", which explains it" if low <= causes.together_percent <= high else "; the rest is unexplained"
-    cause = f"By the logs, the main cause is: {CHANGES[main.code]} ({percent_text(main.percent)} %)"
+    cause = f"According to the logs, the main cause is: {CHANGES[main.code]} ({percent_text(main.percent)} %)"
     return f"{whole}. {cause}. {together}{explained}."
 
 
@@ -370,7 +373,7 @@ def _no_causes(result: ExperimentNumbers) -> str:
 
 
 def _equal_regions(results: Sequence[ExperimentNumbers]) -> str | None:
-    """Return in which experiments the measured region is as large as that of theory, or None if in none of them."""
+    """Name the experiments whose measured region is as large as that of theory. The result is None if there is none."""
     same = [e.experiment for e in results if _is_as_large(e)]
     if not same:
         return None

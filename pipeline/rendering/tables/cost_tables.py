@@ -163,9 +163,10 @@ def rules_table(result: ComparisonResult) -> Table | None:
     if table is not None:
         table.mark(
             "Critical damping and damping of the amplitude optimum (damping ratio 0.71) of a loop without delay and "
-            "sampling, less the damping of the device (5.17): a guide well below the optimal stiffness only.",
+            "sampling, less the damping of the device (5.17). They are a guide only for stiffnesses well below the "
+            "optimal one.",
             "Least settling time of a device without damping (5.19). Delay and sampling period together must stay "
-            "below 20 % of a wanted settling time (5.5).",
+            "below 20 % of the required settling time (5.5).",
         )
     return table
 

@@ -36,7 +36,7 @@ MAIN = ("delay_samples", "mass", "damping")
 MISSED = "Outside the interval."
 
 
-DRIFT = "Drifts with the wall: one model does not explain all trials."
+DRIFT = "The estimate drifts with the wall, so one model does not explain all trials."
 
 
 THESIS = {"delay_samples": "first_change", "mass": "thesis_momentum_balance"}
@@ -73,7 +73,7 @@ def experiments_table(result: ComparisonResult) -> Table | None:
             f"thesis_{name}",
             quantity_name(name),
             unit_text(unit_of[name]),
-            "by the thesis's methods (6.2 to 6.4)",
+            "by the methods of the thesis (6.2 to 6.4)",
             show=digits(3),
             why="no trial allows it",
             optional=True,
@@ -132,7 +132,7 @@ def _percent_or_factor(percent: float) -> str:
 
 
 def mass_note(result: ComparisonResult) -> str | None:
-    """Return in which experiments the apparent mass of the logs differs from a stated one (6.3).
+    """Name the experiments in which the apparent mass of the logs differs from a stated mass (6.3).
 
     The note is None if no mass is stated, or if the logs give no interval.
     """
@@ -175,7 +175,7 @@ def estimate_column(quantity: str, unit: str, group: str = "") -> Column:
         aside=lambda row: (
             "" if row.get(quantity) is None or not texts(row)[1] else f"{texts(row)[1]} to {texts(row)[2]}"
         ),
-        why="not asked for in this scene",
+        why="not requested in this scene",
         notes=notes,
     )
 
@@ -261,7 +261,7 @@ def loops_table(result: ComparisonResult) -> Table | None:
 
 
 def truth_table(result: ComparisonResult) -> Table | None:
-    """Return the truth of simulated experiments next to the estimates."""
+    """Return the true values of simulated experiments next to the estimates."""
     known = [e for e in result.experiments if e.truth and e.truth_held]
     rows = []
     for e in known:

@@ -35,15 +35,16 @@ from pipeline.rendering.tables.formats import (
 )
 
 PARTS = (
-    "Parts of the deviation, whose factors (1 + x/100) give the whole. Range: theory's optimum is outside the tested "
-    "range. Grid: it is between tested walls. Model (95 %): measured against theory on tested walls, without scatter. "
-    "Selection: the cost of the best trial against that of the trials around it, negative if the best trial is lucky."
+    "Parts of the deviation. The product of their factors (1 + x/100) gives the whole. Range: theory's optimum is "
+    "outside the tested range. Grid: it is between tested walls. Model (95 %): measured cost relative to theory at "
+    "tested walls, without scatter. Selection: cost of the best trial relative to the trials around it, which is "
+    "negative if the best trial is lucky."
 )
 
 
 TESTED_WALLS = (
-    "Walls: cost of theory at the best tested wall, against its optimum between or beyond the tested walls. This part "
-    "of a deviation is due to the choice of the walls, and is no error of theory."
+    "Walls: cost of theory at the best tested wall, relative to its optimum between or beyond the tested walls. This "
+    "part of a deviation is due to the choice of the walls, and is no error of theory."
 )
 
 _SIDES = {"theory_discrete": "theory", "theory_damped": "damped"}
@@ -127,7 +128,7 @@ def optima_tables(
 
 
 def _theory_notes(rows: Sequence[Row], units: Units, *, swept: bool) -> list[str]:
-    """Return with which mass, damping and delay the rows of theory were computed, once for each device."""
+    """State the mass, damping and delay with which the rows of theory were computed, once for each device."""
     notes = []
     for row in rows:
         if row["theory_mass"] is None or row["delay_samples"] is None:
@@ -146,7 +147,7 @@ def _show_margin(value: float, row: Row) -> str:
 
 
 def damping_notes(rows: Sequence[Row], result: ComparisonResult, *, swept: bool) -> list[str]:
-    """Return what the measured damping explains of the deviations of a table, as sentences.
+    """Describe in sentences how the measured damping changes the deviations of a table.
 
     The list is empty if theory does not use a device file.
 

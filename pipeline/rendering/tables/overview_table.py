@@ -56,7 +56,7 @@ def overview_table(result: ComparisonResult) -> Table | None:
 
 
 def _tested(row: Row) -> str:
-    """Return up to which damping the boundary is judged, if theory is stable far beyond it. Otherwise empty."""
+    """Return the damping up to which the boundary is judged, if theory is stable far beyond it. Otherwise empty."""
     judged = row["tested"] is not None and row["boundary"] != GRADES[None]
     return f"B ≤ {damping_text(row['tested'])}" if judged else ""
 

@@ -60,7 +60,7 @@ def test_bad_fits_and_extrapolated_costs_are_named(data, result):
     assert share[worst] > 0.05
     long = Optimum(stiffness=1.0, damping=1.0, cost=cost, trial_id=trial)
     text = warned(data, result, optimum={"energy_step_w2": long})
-    assert text.startswith("Optimal energy costs partly extrapolated beyond the logs: experiment 1, w = 2 (")
+    assert text.startswith("Optimal energy costs are partly extrapolated beyond the logs: experiment 1, w = 2 (")
 
 
 @pytest.mark.slow

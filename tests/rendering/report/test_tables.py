@@ -370,7 +370,7 @@ def test_an_optimum_by_overshoot_states_its_threshold(result: ComparisonResult, 
     first = result.experiments[0].model_copy(update={"optimum": {"overshoot": best}})
     (table,) = tables_of(result.model_copy(update={"experiments": (first,)}))["measured_optima"]
     assert any(note.startswith(words) for note in table.notes)
-    assert any("it is no region, but a single trial" in note for note in table.notes) == (free and alone)
+    assert any("it is no region but a single trial" in note for note in table.notes) == (free and alone)
 
 
 def test_a_distance_from_the_limit_is_rounded_down_and_agrees_with_its_word(result: ComparisonResult) -> None:
@@ -531,10 +531,10 @@ FILTERED = RegionCauses(
 @pytest.mark.parametrize(
     ("ratio", "causes", "text"),
     [
-        (0.6, FILTERED, "40 % smaller than theory's. By the logs, the main cause is: velocity filter (−30.0 %)."),
+        (0.6, FILTERED, "40 % smaller than theory's. According to the logs, the main cause is: velocity filter (−30.0 %)."),
         (0.6, FILTERED, "All numbers and parts of the logs together change it by −38.0 %, which explains it."),
         (0.4, FILTERED, "change it by −38.0 %; the rest is unexplained."),
-        (1.4, FILTERED, "40 % larger than theory's. By the logs, the main cause is: mass (+50.0 %)."),
+        (1.4, FILTERED, "40 % larger than theory's. According to the logs, the main cause is: mass (+50.0 %)."),
         (0.6, RegionCauses(changes=(), together_percent=0.0), "No number or part of the logs explains it."),
         (0.6, None, "The cause is unknown: replay fails."),
     ],
