@@ -61,7 +61,8 @@ coefficients. Boundaries need 16 digits at angles of 1e-6, where products of ten
 size 1."""
 
 _DIGIT_STEP = 32
-"""Step of the number of digits, so that loops with similar delays share what does not depend on the whole samples."""
+"""Step of the number of digits. Loops with similar delays thereby share the quantities that do not depend on the
+integer part of the delay."""
 
 
 @dataclass(frozen=True)
@@ -216,8 +217,8 @@ class NormalisedLoop:
         rate = float(np.abs(self.device.matrix).max())
         if rate > LARGEST_RATE:
             raise ParameterError(
-                f"the device changes within {1 / rate:.2g} sampling periods: expected at least "
-                f"{1 / LARGEST_RATE:g}. Remove the lag or mode that is so fast."
+                f"the fastest motion of the device takes {1 / rate:.2g} sampling periods: expected at least "
+                f"{1 / LARGEST_RATE:g}. Remove the fast lag or mode."
             )
 
     @property

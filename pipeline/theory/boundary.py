@@ -303,7 +303,7 @@ def _along(loop: NormalisedLoop, first: FirstBranch, points: int) -> Boundary:
     peak_at = np.log(turns[:1])
     place = np.append(np.sort(np.append(place, peak_at)), first.end)
     p, peak = circle_points(loop, place), circle_points(loop, peak_at)
-    alpha = np.append(p.alpha[:-1], 0.0 - loop.gamma)  # by the definition of the end
+    alpha = np.append(p.alpha[:-1], 0.0 - loop.gamma)  # the branch ends on this line
     ends = float(p.beta[-1]), float(alpha[-1]), first.start
     return Boundary(alpha, p.beta, angle_of(place), float(peak.alpha[0]), float(peak.beta[0]), *ends)
 
@@ -311,7 +311,7 @@ def _along(loop: NormalisedLoop, first: FirstBranch, points: int) -> Boundary:
 def _over_dampings(loop: NormalisedLoop, points: int) -> Boundary:
     found = outline(loop, points, -loop.gamma)
     if not len(found.beta):
-        raise ParameterError("no damping stabilises a soft wall. Check delay, lag and velocity filter.")
+        raise ParameterError("no damping stabilises a soft wall. Check the delay, the lag and the velocity filter.")
     at, levels, known = found.islands[:, 0], found.beta, found.limits
     if len(at):
         levels = np.unique(np.concatenate([levels, found.tried, np.linspace(at.min(), at.max(), points)]))

@@ -399,7 +399,7 @@ def robust_boundary(case: Case) -> Boundary:
 
 
 def _unstable_rule(loop: NormalisedLoop, alpha: float, beta: float) -> str | None:
-    """Return why the wall of a tuning rule is unsuitable, or None if this wall and all softer ones are stable."""
+    """Return why the wall of a tuning rule is unsuitable, or None if this wall and all softer walls are stable."""
     radius = float(spectral_radius(loop, alpha, beta)[0])
     if not stable_by_radius(loop, np.array([alpha]), np.array([radius]))[0]:
         return (
@@ -556,7 +556,9 @@ def best_damping_for(case: Case, criterion: str, stiffness: float) -> BestDampin
     loop, (k, b) = case.loop, case.scale
     alpha = stiffness / k
     if not alpha + loop.gamma > 0:
-        raise ParameterError(f"stiffness {stiffness:g}: expected a positive sum with the stiffness of the device.")
+        raise ParameterError(
+            f"stiffness {stiffness:g}: expected a value whose sum with the stiffness of the device is positive."
+        )
     found = best_damping(loop, criterion, alpha)
     best, cost, low, high = (float(each[0]) for each in (found.best, found.cost, found.low, found.high))
     known = bool(found.found[0])

@@ -309,7 +309,8 @@ def _exact_roots(polynomial: list[Decimal], digits: int) -> list[tuple[float, in
     whole, (deepest, finest) = [int(c * scale) for c in polynomial], _EXACT_HALVINGS
     chances, found = [math.comb(degree, k) for k in range(degree + 1)], []
     waiting = [(whole, 0, 0)]
-    while waiting:  # terminates, since the depth is bounded and each halving keeps or splits the number of sign changes
+    # the loop terminates, because the depth is bounded and each halving keeps or splits the number of sign changes
+    while waiting:
         p, depth, place = waiting.pop()
         over = _shifted(p[::-1])[::-1]
         signs = [c > 0 for c in over if c]
@@ -981,7 +982,7 @@ def polished(loop: NormalisedLoop, beta: Floats, place: Floats) -> Floats:
         for b, start in zip(as_exact(beta), place, strict=True):
             first = s = Decimal(float(np.exp(start)))
             for _ in range(0 if start in lines else _POLISHINGS):
-                # of twist + beta (1 + s)^delay turn
+                # Newton's method for twist + beta (1 + s)^delay turn = 0
                 pull, lever = b * (1 + s) ** c.delay, value_at(c.turn, s)
                 slope = value_at(twist, s) + pull * (value_at(turn, s) + c.delay * lever / (1 + s))
                 s -= (value_at(c.twist, s) + pull * lever) / slope

@@ -172,8 +172,8 @@ def _ends(loop: NormalisedLoop, given: Floats, stiffness_given: bool) -> tuple[F
     if stiffness_given:
         border, value = boundary(loop, _BOUNDARY_POINTS), given[:, None]
         level, other = border.alpha, border.beta
-        # one end is included, so that a line through a corner intersects one of its sides; nan between regions never
-        # intersects
+        # one end is included, so a line through a corner intersects exactly one of its sides; a side with nan, which
+        # separates regions, is never intersected
         meets = (np.minimum(level[:-1], level[1:]) <= value) & (value < np.maximum(level[:-1], level[1:]))
         rise = np.where(level[1:] == level[:-1], 1.0, level[1:] - level[:-1])
         at = other[:-1] + (value - level[:-1]) * (other[1:] - other[:-1]) / rise
@@ -275,7 +275,7 @@ def _steps(lines: _Lines, criterion: str) -> Floats:
     first_look = lines.search(settling(lines.loop, criterion, _LONGEST), levels=0)
     place, count = first_look.place.copy(), first_look.cost.copy()
     open_lines = np.flatnonzero(np.isfinite(count) & (count > 1))
-    while len(open_lines):  # terminates, since each remaining line needs one sample less, down to 1
+    while len(open_lines):  # the loop terminates, because each remaining line needs one sample less, down to 1
         part = lines.some(open_lines)
         deviation = part.late_deviation(count[open_lines] - 1)
         found = search_lines(deviation, part.low, part.high, coarse=_STEP_LOOK, starts=3, levels=_STEP_LEVELS)

@@ -16,12 +16,14 @@ inside.
 
 Deviations are relative to the final displacement, and times are in samples. A response that needs more samples than the
 limit ends with a status instead of a number. ``interval`` is the motion over a sampling interval
-(`motion.interval_motion`). ``walls`` contains alpha and beta of the walls, and what all walls of a loop share: the rows
-of sensed position and filtered velocity, the largest effects of own states on the position (constant, for each sample
-of the lever, and for each sample of a short lever), gamma with the shortest lever and the longest short lever
-[samples], and the own states at sample 0. ``first`` contains the first three own states, which a march keeps in
-registers: sensed position, velocity and last sample. ``state`` has a row for each mode, at sample 0: its own states,
-and the wall forces of the last samples, newest first. ``view`` is computed by `outlook`.
+(`motion.interval_motion`). Own states are the states of the loop without the delayed forces (`motion.own_basis`). The
+lever is a bound of the time [samples] for which the velocity of an own state acts on the position. ``walls`` contains
+alpha and beta of the walls, and the constants of their loop: the output rows of sensed position and filtered velocity;
+three rows for the largest effect of each own state on the position (a constant, a factor of the lever, and a factor of
+a short lever); gamma, the shortest lever and the longest short lever; and the own states at sample 0. ``first``
+contains the first three own states, which a march keeps in registers: sensed position, velocity and last sample.
+``state`` has a row for each mode, at sample 0: its own states, and the wall forces of the last samples, newest first.
+``view`` is computed by `outlook`.
 """
 
 from __future__ import annotations
@@ -49,7 +51,8 @@ MODAL = "Tuple((f8[::1],f8[:,::1],f8[:,:,::1],f8[:,::1],f8[:,::1],f8[:,::1]))"
 RULE = "Tuple((f8[::1],b1,b1,i8,f8,f8))"
 
 LAW, LEVERS, OWN, LINE, MOVED, CURVE, BEGUN, BEGUN_LINE, SETTLED, PEAK, CALM, START, FORCES, ENTRY = range(14)
-"""Rows of the work array of a march. The rows from `ENTRY` on are for the entries into the bands, then for the view."""
+"""Rows of the work array of a march. The rows from `ENTRY` onward contain the entries into the bands, and then the
+view."""
 
 MOVING, STILL, LATE = 0, 1, 2
 """Ends of a march. It ends at its last sample, at rest, or because its cost is above the cutoff."""
@@ -184,8 +187,9 @@ def notes_of(rows: Floats, sizes: tuple[int, int], count: int) -> Arrays:
     """Return the records of a march in a work array.
 
     For each band, the last sample outside (``settled``), and the interval, piece and start of the last entry into the
-    band (``entry``). ``peak`` is the largest deviation between samples and that of samples. ``calm`` counts the samples
-    for which all motion was small compared with the bands, and compared with bands and peak.
+    band (``entry``). ``peak`` contains the largest deviation of the motion between samples, and that of the samples.
+    ``calm`` counts the samples for which all motion was small compared with the bands, and compared with bands and
+    peak.
     """
     return rows[SETTLED, :count], rows[ENTRY : ENTRY + count, : 5 + sizes[0]], rows[PEAK, :2], rows[CALM, :2]
 
@@ -241,7 +245,8 @@ def passing(curve: Floats, level: float) -> float:
 
 @part
 def extreme_of(curves: Floats, j: int, z: Floats, forces: Forces, curve: Floats) -> float:
-    """Return the position at which the motion turns in a piece. It is rare, and not inlined into a march."""
+    """Return the position at which the motion turns in a piece. Turns are rare, so this function is not inlined into a
+    march."""
     curve_of(curves, j, z, forces, curve)
     return motion_at(curve, turn_of(curve))[0]
 
@@ -292,7 +297,7 @@ def march(
     at, how, small = k % len(line) if len(line) else 0, MOVING, share * narrowest
     late = math.ceil(cutoff) if cutoff < end and not swings else end + 1
     ceiling = math.inf if len(bands) else cutoff
-    # numbers in registers, which are those of the arrays again at the end
+    # these numbers are kept in registers, and are written back to the arrays at the end
     highest, sampled, calm_of_bands, calm_of_all = peak[0], peak[1], calm[0], calm[1]
     place, speed, _ = first
     while k < end:

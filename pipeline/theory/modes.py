@@ -42,7 +42,7 @@ def by_eigenvectors(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> tuple[
 
 @lru_cache(maxsize=64)
 def not_given(loop: NormalisedLoop) -> Constants:
-    """Return first poles and empty arrays in place of `by_eigenvectors`: a march computes modes from polynomials."""
+    """Return first poles and empty arrays in place of `by_eigenvectors`. A march computes modes from polynomials."""
     n = loop.states
     return Constants((first_poles(loop), np.empty((0, n), np.complex128), np.empty((0, n, n), np.complex128)))
 
@@ -98,7 +98,8 @@ def polynomials(loop: NormalisedLoop) -> tuple[Floats, ...]:
 def hull(loop: NormalisedLoop) -> Floats:
     """Return the Bernstein coefficients of the position over all pieces, shape (coefficients, own + 2).
 
-    They map own states and two forces (`interval_motion`). The position is between the smallest and the largest one.
+    They map own states and two forces (`interval_motion`). The position is between the smallest and the largest
+    coefficient.
     """
     curves = interval_motion(loop, True)[2]
     return np.ascontiguousarray((_bernstein(curves.shape[1]) @ curves).reshape(-1, curves.shape[2]))

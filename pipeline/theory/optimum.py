@@ -303,7 +303,7 @@ def _settling_region(loop: NormalisedLoop, band: float, criterion: str) -> Optim
         raise ParameterError(f"no response settles into a band of {band} within {longest} samples.")
     samples = int(tried[index])
     point = OptimalPoint(float(alpha[index]), float(beta[index]), float(samples))
-    while samples > 1:  # terminates, since each further round needs one sample less
+    while samples > 1:  # the loop terminates, because each further round needs one sample less
         better = search(loop, partial(deviation, first=samples - 1))
         if better.cost > band:
             break

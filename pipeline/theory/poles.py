@@ -326,7 +326,7 @@ def _added_delay(loop: NormalisedLoop, alpha: float, beta: float, expected: Floa
     def stable(delay: Floats) -> np.ndarray:
         try:
             return spectral_radius(replace(loop, delay=loop.delay + float(delay[0])), alpha, beta) < 1
-        except ParameterError:  # the delay exceeds the range of the theory
+        except ParameterError:  # the theory does not cover this delay
             return np.array([True])
 
     if not len(expected):

@@ -66,8 +66,9 @@ def reachable(criterion: str, delay_samples: float) -> Reachable:
 
     Notes
     -----
-    The error is at most about 1 % for delays of at least two samples. Sampling costs as much as one more sample of
-    delay. The time from command to force plus one sampling period must stay below 20 % of the required settling time.
+    The error is at most about 1 % for delays of at least two samples. The effect of sampling equals that of one more
+    sample of delay. The time from command to force plus one sampling period must stay below 20 % of the required
+    settling time.
 
     Source: Hulin 2017, eqs. 5.19 and 5.20, Table 5.1.
 

@@ -16,8 +16,8 @@ from pipeline.theory.boundary import MARGIN, boundary, is_well_inside, limits, s
 from pipeline.theory.crossings import bisect
 
 Cost = Callable[[Floats, Floats, Any], Floats]
-"""Cost of points. The last argument is the best known cost, one or one for each point. The cost of worse points may be
-infinite."""
+"""Cost of points. The last argument is the best known cost, as one value or one value per point. The cost of worse
+points may be infinite."""
 
 
 @dataclass(frozen=True)
@@ -364,7 +364,8 @@ def bounding_box(
         half = np.maximum(half, 0.3 * (corner[1] - corner[0]))
     span = corner[1] - corner[0]
     known_alpha, known_beta = alpha[good], beta[good]
-    # twice: in the thin tip of a corner, the grids of one edge may stall, and the point of another edge helps
+    # this is done twice, because the grids of one edge may stall in the thin tip of a corner until another edge yields
+    # a better point
     for _ in range(2):
         edges = []
         for axis, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
@@ -383,7 +384,7 @@ def _distance(feasible: Cost, axis: int, sign: float, alpha: Floats, beta: Float
 
 LineCost = Callable[[Integers, Floats, Any], Floats]
 """Cost of points given by the index of their line and their position on it. It is infinite if a point has no cost. The
-last argument is a cost, one or one for each point. The cost of worse points may be infinite."""
+last argument is the best known cost, as one value or one value per point. The cost of worse points may be infinite."""
 
 COARSE = 121
 """Number of points of the first scan of a line."""

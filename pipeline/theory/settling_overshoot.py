@@ -87,11 +87,11 @@ def transient_costs(
     Returns
     -------
     dict of float64, shape (n,)
-        ``settle_<band in percent>pct_discrete`` [samples] is the smallest k for which all samples from k on are inside
-        the band. ``settle_<..>pct`` [samples] is the last entry of the continuous position into the band. ``overshoot``
-        and ``overshoot_discrete`` are the largest excess over the final position relative to the final displacement,
-        >= 0. A cost is NaN if the response still moves too much after ``longest`` samples. The settling time may be
-        known although the overshoot, which has a finer limit, is not.
+        ``settle_<band in percent>pct_discrete`` [samples] is the smallest k for which all samples from k onward are
+        inside the band. ``settle_<..>pct`` [samples] is the last entry of the continuous position into the band.
+        ``overshoot`` and ``overshoot_discrete`` are the largest excess over the final position relative to the final
+        displacement, >= 0. A cost is NaN if the response still moves too much after ``longest`` samples. The settling
+        time may be known although the overshoot, which has a finer limit, is not.
 
     Source: Hulin 2017, eqs. 5.10 to 5.12.
     """
@@ -112,7 +112,7 @@ def transient_costs(
 
 
 def late_deviation(loop: NormalisedLoop, alpha: object, beta: object, first: object, longest: int) -> Floats:
-    """Return the largest deviation of the samples from ``first`` on, relative to the final displacement.
+    """Return the largest deviation of the samples from ``first`` onward, relative to the final displacement.
 
     A discrete settling time of at most ``first`` is possible if this deviation is inside the band. Unlike the settling
     time, it is continuous in alpha and beta.
@@ -174,7 +174,7 @@ def _followed(
 
 
 def _walls(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Arrays:
-    """Return walls, and what the laws, levers and initial states of all walls of a loop consist of."""
+    """Return alpha and beta of walls, and the constants of their loop (see `march`)."""
     return alpha, beta, _of_walls(loop)
 
 

@@ -209,10 +209,11 @@ def map_figures(
 
 
 def _other_devices(shown: Sequence[ExperimentNumbers], theory: Theory | None, table: str) -> str:
-    """Return for which experiments theory would have another device, as a sentence after a space, or an empty text."""
+    """Name the experiments whose stated device differs from that of theory, in a sentence after a space, or return
+    ""."""
     others = [r.experiment for r in shown if theory and r.theory and r.theory.loop != theory.loop]
     where = f"theory of this device is in {table_label(table)}"
-    return f" Experiment {listed(others)} has another stated device than theory; {where}." if others else ""
+    return f" The stated device of experiment {listed(others)} differs from theory; {where}." if others else ""
 
 
 def _theory_maps(
@@ -282,8 +283,8 @@ def map_figure(table: str, criterion: str, maps: Sequence[CostMap], units: Units
     caption = (
         f"{'Theory left. ' if maps[0].cost.ndim == 2 else ''}Black: stability limit. Green: lines of equal cost, "
         f"{lines}"
-        f"{'; measured costs are smoothed over the trials around' if tried else ''}. Plus: optimum as in {label}"
-        f"{', of experiments the best single trial' if tried else ''}. Blue: best damping for each stiffness, dashed: "
+        f"{'; measured costs are smoothed over neighbouring trials' if tried else ''}. Plus: optimum as in {label}"
+        f"{', for experiments the best single trial' if tried else ''}. Blue: best damping for each stiffness, dashed: "
         f"best stiffness for each damping. Below: least cost for each stiffness"
         f"{' that was tested at many dampings, and all trials' if tried else ''}."
     )

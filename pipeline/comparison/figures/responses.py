@@ -180,7 +180,7 @@ def _response_figure(
     caption = (
         f"Trial {trial.trial_id} of experiment {stages.experiment}: {words}.{remark} Right: the onset. The position "
         f"first changes at t_obs = {decimal(at, 3)} ms, so the delay at the onset lies in the shaded period (6.3). "
-        "A jittering delay is another one at other samples."
+        "If the delay jitters, it differs between samples."
     )
     return Figure("response", "first-response", "Step response", caption, panels, size=(440.0, 290.0))
 

@@ -244,7 +244,8 @@ def _jitter(evidence: LoopEvidence, device: IdentifiedLoop) -> Iterator[Candidat
 
 
 def jitter_cause(jitter: Estimate, delay: Estimate, stated: Loop | None, dampings: Floats) -> Cause:
-    """Return a jittering delay as a cause, compared with the constant delay of the device file if it excludes this one.
+    """Return a jittering delay as a cause. It is compared with the constant delay of the device file if the two
+    disagree.
 
     Parameters
     ----------

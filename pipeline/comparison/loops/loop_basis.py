@@ -34,7 +34,7 @@ class LoopBasis:
     nominal : IdentifiedLoop or None
         Loop from the device file. Its parameters have no intervals.
     error : float
-        Relative error of the limits according to the replay, 95 %.
+        95 % quantile of the relative error of the limits according to the replay.
     operator_damping : float
         Damping of the operator in the file, per unit of command [Ns/m, Nms/rad].
     """

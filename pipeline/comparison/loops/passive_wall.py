@@ -71,7 +71,8 @@ def passive_wall(basis: LoopBasis, result: MeasuredExperiment) -> tuple[PassiveW
     at = np.array([wall_damping])
     stable = float(basis.band([limits_of(device, at) for device in basis.devices])[0][0]) * (1 - SPARE)
     stiffness = _rounded_down(min(highest, stable, measured))
-    # A smaller stiffness at the same damping needs less device damping. In the limit K = 0, it needs that for B alone.
+    # A smaller stiffness at the same damping needs less device damping. In the limit K = 0, it needs the device damping
+    # for B alone.
     for _ in range(TRIES):
         if stiffness <= 0 or all(_needed(*plant, stiffness, wall_damping) <= damping for plant in plants):
             break

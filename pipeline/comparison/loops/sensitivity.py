@@ -98,8 +98,9 @@ def region_causes(
     Notes
     -----
     The area is that between the first and the last tested damping, below the end of the tested range. One number or
-    part at a time is replaced by that of the logs, if the stated one lies outside its 95 % interval. Friction and
-    jitter change the area by the ratio of the limits for the step to the linear limits.
+    part of the device file at a time is replaced by that of the logs, if the stated value lies outside the 95 %
+    interval of the logs. Friction and jitter change the area by the ratio of the limits for the step to the linear
+    limits.
     """
     measured = measured_limits(result.boundary)
     B, device = measured.damping, basis.identified

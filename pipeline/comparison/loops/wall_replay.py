@@ -180,7 +180,7 @@ def _behind(loop: Loop, K: Floats, B: Floats, steps: Floats, trial: StepTrial, r
 
 
 def _of_chance(result: MeasuredExperiment, K: Floats, B: Floats) -> Booleans:
-    """Return which walls lie within the interval of the limit measured at their damping, shape (n,)."""
+    """Return a mask of the walls within the interval of the limit measured at their damping, shape (n,)."""
     limits = measured_limits(result.boundary)
     ends = dict(zip(limits.damping.tolist(), zip(limits.low.tolist(), limits.high.tolist(), strict=True), strict=True))
     low, high = np.array([ends.get(each, (0.0, 0.0)) for each in B.tolist()]).reshape(-1, 2).T

@@ -15,7 +15,7 @@ NEAR_ZERO = 0.25
 """Smallest theoretical limit, relative to the largest, by which a distance is divided.
 
 The limit tends to zero at both ends of a boundary. There, one stiffness step (200 N/m of 13,000) could be any
-percentage of it.
+percentage of the limit.
 """
 
 FEWEST_COMPARISONS = 5
@@ -89,7 +89,7 @@ def deviating_span(damping: Floats, deviates: Booleans) -> DampingSpan | None:
 
     Notes
     -----
-    The range is that with the largest number of deviating limits less the number of others. It must contain `MOSTLY` of
+    The range has the largest number of deviating limits minus the number of other limits. It must contain `MOSTLY` of
     the deviating limits, `MOSTLY` of its limits must deviate, and there must be at least `FEWEST_DEVIATING` of them.
 
     >>> deviating_span(np.arange(6.0), np.array([False, False, False, True, True, True]))

@@ -1,9 +1,9 @@
 """Decompose the deviation of a measured optimal cost from theory into range, grid, model, and selection of a trial.
 
-The lowest measured cost comes from one noisy trial on a grid of limited range. The theoretical optimum has neither
-noise nor grid nor range. Let C be theory's cost, with its optimum at p* (unconstrained), p_r (in the tested range) and
-p_g (among the tested points). Let s be the smoothed measured cost with its minimum at the tested point p_s, and M the
-cost of a single trial with its minimum at p_m. Then
+The lowest measured cost comes from one noisy trial on a grid of limited range. The theoretical optimum is affected by
+neither noise nor grid nor range. Let C be theory's cost, with its optimum at p* (unconstrained), p_r (in the tested
+range) and p_g (among the tested points). Let s be the smoothed measured cost with its minimum at the tested point p_s,
+and M the cost of a single trial with its minimum at p_m. Then
 
     M(p_m)/C(p*) = C(p_r)/C(p*) . C(p_g)/C(p_r) . s(p_s)/C(p_g) . M(p_m)/s(p_s)
 """

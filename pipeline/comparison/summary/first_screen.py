@@ -65,8 +65,8 @@ MOST_CAUSES = 2
 DRIFTING = 3
 """Smallest number of parameters that drift with the wall for which no parameter has an interval.
 
-Of six tests at 5 %, one may fail by chance, and many trials reveal a small drift. In a wrong device, mass, damping and
-delay all drift.
+Of six tests at 5 %, one may fail by chance, and many trials reveal a small drift. If the model of the device is wrong,
+mass, damping and delay all drift.
 """
 
 WRONG_RECORDING = "the logs were not recorded as required for limits"
@@ -94,7 +94,8 @@ CLOSE = 0.05
 
 @dataclass(frozen=True)
 class NextStep:
-    """Next wall, or the reason why there is none, and at how many of the wanted dampings verdicts give the limit."""
+    """Next wall, or the reason why there is none, and the number of required dampings at which verdicts give the
+    limit."""
 
     wall: NextWall | None = None
     reason: str = ""
@@ -163,7 +164,7 @@ def _safest(stages: ExperimentStages) -> TestedWall | None:
 
 
 def _worth(result: ExperimentNumbers) -> tuple[bool, bool, bool]:
-    """Return whether an experiment has a limit to compare with theory, a wall to use, and any limit."""
+    """Return three flags: an experiment has a limit to compare with theory, a wall to use, and any limit."""
     return bool(result.scores and _known(result)), result.use is not None, bool(result.boundary)
 
 
@@ -281,7 +282,7 @@ def _other_parameters(result: ExperimentNumbers, of_file: Experiment | None, uni
 
 
 def _prediction(result: ExperimentNumbers, rows: Sequence[ComparisonRow], misled: str) -> Prediction:
-    """Return whether theory predicts the device, by the limits of one experiment and the costs of all.
+    """Judge whether theory predicts the device, from the limits of one experiment and the costs of all experiments.
 
     ``misled`` is the reason why the logs give no limit, or "".
     """
@@ -337,7 +338,7 @@ def _prediction(result: ExperimentNumbers, rows: Sequence[ComparisonRow], misled
 
 
 def _tested_part(result: ExperimentNumbers) -> dict[str, float]:
-    """Return up to which damping there are trials, and up to which theory is stable, if it is far beyond."""
+    """Return the largest tested damping and the largest stable damping of theory, if the latter is far larger."""
     damping, tested = result.scores[0].damping if result.scores else None, [p.damping for p in result.boundary]
     if damping is None or max(tested) >= REACHED * damping.theory:
         return {}
@@ -345,9 +346,9 @@ def _tested_part(result: ExperimentNumbers) -> dict[str, float]:
 
 
 def _too_few_limits(result: ExperimentNumbers, distance: DistanceScore) -> str:
-    """Return how many limits are missing to judge theory, and at which dampings.
+    """State how many limits are known and needed to judge theory, and at which dampings to record more.
 
-    The prediction of the identified loop at one of them is included.
+    The prediction of the identified loop at one of these dampings is included.
     """
     unknown = [point.damping for point in result.boundary if point.limit is None or point.censored]
     if not unknown and (damping := _untested_damping(result)) is not None:
@@ -422,7 +423,7 @@ def _reachable(result: ExperimentNumbers, rows: Sequence[ComparisonRow]) -> Reac
 
 
 def _with_friction(result: ExperimentNumbers) -> DistanceScore | None:
-    """Return the distance of the limits from those of the identified device with friction, or None if these are wrong.
+    """Return the distance of the limits from those of the identified device with friction, or None if they disagree.
 
     If the sign of such a small distance depends on one limit, one of two conditions is required: all intervals include
     the device's limits, or the cross-validation of the device is correct.

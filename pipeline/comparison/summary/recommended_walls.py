@@ -70,7 +70,7 @@ def recommended(result: MeasuredExperiment) -> tuple[str, Optimum] | None:
 def region_to_use(
     result: MeasuredExperiment, stages: ExperimentStages, linear: Mapping[float, float] | None = None
 ) -> tuple[UseRegion | None, str]:
-    """Return the walls to use (None if there are none), and why there are none or why no cost of a region chose them.
+    """Return the walls to use, or None, with the reason why there are none or why the costs of a region did not decide.
 
     Parameters
     ----------
@@ -83,9 +83,9 @@ def region_to_use(
     Notes
     -----
     Usable trials are stable, have K > 0 and overshoot by at most `CALM`, if that is known. If too few of them have a
-    cost, the stiffest walls at the margin `FAR` are recommended. Without `FEWEST` good ones of these side by side, the
-    wall of the least cost is recommended alone, if as many of its neighbours are stable and calm. The wall to set has
-    a cost, its log came to rest undisturbed, and no softer wall of its damping is undecided.
+    cost, the stiffest walls at the margin `FAR` are recommended. If fewer than `FEWEST` good walls are neighbours, the
+    wall with the least cost is recommended alone, if `FEWEST` of its neighbours are stable and calm. The wall to set
+    has a cost, its log came to rest undisturbed, and no softer wall of its damping is undecided.
     """
     # Keep away from limits of which only a lower bound is known.
     limits = measured_limits([p for p in result.boundary if p.low is None or p.low > 0])
@@ -136,14 +136,14 @@ def _single(tested: WallTrials, limits: MeasuredLimits, calm: Booleans) -> Recta
 
 
 def _lacking(limits: MeasuredLimits, stiffness: Floats, damping: Floats, usable: Booleans, unit: str) -> str:
-    """Return how many trials are missing around a wall, and the two walls to test."""
+    """State how many trials are required around a wall, and two walls to test."""
     bound = np.interp(damping, limits.damping[limits.known], limits.limit[limits.known]) / FAR
     count = int((usable & (stiffness <= bound)).sum())
     best = np.flatnonzero(limits.known)[np.argsort(-limits.limit[limits.known])][:2]
     walls = [f"K = {float(f'{limits.limit[i] / FAR:.2g}'):g} {unit}, B = {limits.damping[i]:g}" for i in best]
     there = {0: "there is none", 1: "there is one"}.get(count, f"there are {count}")
     if count >= FEWEST:
-        there += f", but no {FEWEST} good ones are neighbours"
+        there += f", but no {FEWEST} good trials are neighbours"
     needed = f"a wall needs {FEWEST} stable trials around it, at half the limit or below"
     return f"{needed}; {there}. Record {' and '.join(walls)}"
 

@@ -531,7 +531,11 @@ FILTERED = RegionCauses(
 @pytest.mark.parametrize(
     ("ratio", "causes", "text"),
     [
-        (0.6, FILTERED, "40 % smaller than theory's. According to the logs, the main cause is: velocity filter (−30.0 %)."),
+        (
+            0.6,
+            FILTERED,
+            "40 % smaller than theory's. According to the logs, the main cause is: velocity filter (−30.0 %).",
+        ),
         (0.6, FILTERED, "All numbers and parts of the logs together change it by −38.0 %, which explains it."),
         (0.4, FILTERED, "change it by −38.0 %; the rest is unexplained."),
         (1.4, FILTERED, "40 % larger than theory's. According to the logs, the main cause is: mass (+50.0 %)."),
