@@ -221,7 +221,7 @@ class SimulationParts(Part):
     lost_rows : float
         Fraction of rows that are missing from the log.
     lost_rows_hidden : bool
-        Whether the time stamps are renumbered, so that they do not show which rows are missing.
+        Whether the time stamps are renumbered. They then do not show which rows are missing.
     held_samples : float
         Fraction of samples in which the sensor repeats its last value for both the controller and the log.
     repeated_rows : float

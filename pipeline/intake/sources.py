@@ -282,7 +282,7 @@ def _matches(file: Path, patterns: Sequence[str]) -> bool:
 
 
 def _names_ending(profile: Profile | None, file: Path) -> bool:
-    """Return True if a pattern of the profile names the extension of a file, so that the file is a log."""
+    """Return True if a pattern of the profile names the extension of a file. The file is then a log."""
     ending = file.suffix.lower() or file.name.lower()
     return profile is not None and any(pattern.lower().endswith(ending) for pattern in profile.files)
 
@@ -335,7 +335,7 @@ def _state(path: str) -> tuple[int, int] | None:
 
 
 def is_settled(mtime_ns: int, settle_s: float) -> bool:
-    """Return True if a modification time [ns] is at least `settle_s` ago, so that the recording has ended."""
+    """Return True if a modification time [ns] is at least `settle_s` ago. The recording has then ended."""
     # A time in the future, due to a wrong clock, must not cause an endless wait.
     return abs(time.time_ns() - mtime_ns) >= settle_s * 1e9
 
@@ -404,7 +404,7 @@ def read_and_check(
 ) -> list[Read]:
     """Read, hash, parse and check sources of one profile, in the given order.
 
-    The function does not write and has no state, so that it may run in a thread.
+    The function does not write and has no state, so it may run in a thread.
 
     Parameters
     ----------

@@ -377,7 +377,7 @@ def plan_state(
             and task.limit <= task.half
             and (task.error <= width or goal.gentle)
         ):
-            # The limit is 0 within the accuracy, so that every wall above it would be unstable.
+            # The limit is 0 within the accuracy, so every wall above it would be unstable.
             column = DampingState(goal.dampings[i], of, max(task.limit, 0.0), note="no stable wall")
         if rig is not None:
             column = _as_set(column, rig, goal)

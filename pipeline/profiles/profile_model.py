@@ -183,7 +183,7 @@ def conditions_in_name(pattern: str, name: str) -> dict[str, str] | None:
 
 
 def _requires_comma(pattern: str, text: str, comma: int, group: int) -> bool:
-    """Return True if a pattern requires a comma, so that a different character in its place changes the match of the
+    """Return True if a pattern requires a comma. A different character in its place then changes the match of the
     group."""
     spans = []
     for tried in (text, f"{text[:comma]}\x01{text[comma + 1 :]}"):

@@ -91,7 +91,7 @@ class FreeResponse:
 
     @property
     def is_at_noise(self) -> bool:
-        """True if only noise remains, so that the regression models all parts of the device."""
+        """True if only noise remains. The regression then models all parts of the device."""
         return self.residual <= AT_NOISE * self.noise
 
     @property

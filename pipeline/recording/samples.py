@@ -174,7 +174,7 @@ class Samples:
 
     @property
     def is_free(self) -> bool:
-        """True if there is no wall, so that the command does not depend on the position."""
+        """True if there is no wall. The command then does not depend on the position."""
         return self.stiffness == 0.0 and self.damping == 0.0
 
     def finding(

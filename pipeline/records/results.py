@@ -539,7 +539,7 @@ class AnswerEstimate(Quantity):
     share of correct verdicts at walls that were not used for the fit, and ``limits_off_percent`` is the median error of
     its limits. If measured limits are less accurate, ``limits_known_percent`` is the half-width of their intervals.
     ``damping`` is the damping of the largest limit. ``at_last_damping`` is true if this is the largest tested damping,
-    so that a larger limit may exist beyond it. ``bracketed`` is true if the ends of the interval are a stable and an
+    so a larger limit may exist beyond it. ``bracketed`` is true if the ends of the interval are a stable and an
     unstable trial.
     """
 

@@ -46,7 +46,7 @@ VERSION_COLUMNS = ("source_path", "trial_id", "source_sha256", "profile_sha256",
 
 ATTEMPTS = 50
 """Maximum number of read attempts. A read is repeated if files were merged during it. A merge takes longer than listing
-the files, so that one repetition is nearly always enough.
+the files, so one repetition is nearly always enough.
 """
 
 _PAUSE_S = 0.02

@@ -79,7 +79,7 @@ def _nonlinear_code(loop: Loop) -> ChangeCode:
 def region_causes(
     result: MeasuredExperiment, stated: Loop | None, basis: LoopBasis, limits: Sequence[Limit]
 ) -> RegionCauses | None:
-    """Return how the numbers and parts of the logs change the area of theory's stable region.
+    """Compute the changes in the area of theory's stable region due to the numbers and parts of the logs.
 
     The result is None without a device file, without an identified device, or with fewer than two measured limits.
 

@@ -137,12 +137,12 @@ def is_steady(values: Floats) -> bool:
 
 
 def verdict_agreement(stiffness: Floats, verdict: NDArray[np.str_], predicted: Booleans) -> VerdictScore | None:
-    """Return how often logs and theory agree on stability, or None without a decided trial at K > 0.
+    """Count how often logs and theory agree on stability. The result is None without a decided trial at K > 0.
 
     Parameters
     ----------
     stiffness : float64, shape (n,)
-        K [N/m, Nm/rad]. At K <= 0 there is no equilibrium position, so that "stable" means a decaying velocity.
+        K [N/m, Nm/rad]. At K <= 0 there is no equilibrium position, so "stable" means a decaying velocity.
     verdict : array of str, shape (n,)
         ``stable``, ``unstable`` or ``undecided``.
     predicted : bool, shape (n,)

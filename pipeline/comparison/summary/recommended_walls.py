@@ -167,7 +167,7 @@ def _no_limit(stiffness: Floats, stages: ExperimentStages) -> str:
 
 
 def _above_undecided(stiffness: Floats, damping: Floats, undecided: Booleans) -> Booleans:
-    """Return which trials have a softer undecided trial with K > 0 at the same damping."""
+    """Return a mask of the trials with a softer undecided trial with K > 0 at the same damping."""
     least = np.full(len(stiffness), np.inf)
     for B in np.unique(damping[undecided]):
         at = damping == B
@@ -177,7 +177,7 @@ def _above_undecided(stiffness: Floats, damping: Floats, undecided: Booleans) ->
 
 
 def _judged(result: MeasuredExperiment, stages: ExperimentStages) -> tuple[Booleans, Booleans]:
-    """Return which trials have a cost due to the wall alone, and which of them came to rest at x_0 + F_0/K.
+    """Return masks of the trials with a cost due to the wall alone, and of those that came to rest at x_0 + F_0/K.
 
     With friction a device comes to rest elsewhere. An offset within the range of friction is not a disturbance.
     """
@@ -291,7 +291,7 @@ class WallTrials:
     finished: Booleans
 
     def inside(self, region: Rectangle) -> Booleans:
-        """Return which trials lie in a rectangle, including its edges."""
+        """Return a mask of the trials in a rectangle, including its edges."""
         K, B = self.stiffness, self.damping
         return (region[0] <= K) & (region[1] >= K) & (region[2] <= B) & (region[3] >= B)
 
@@ -311,7 +311,7 @@ class WallTrials:
 
 
 def _at_an_end(values: Floats) -> Booleans:
-    """Return which values are the smallest or the largest one. All values are ends if none lies between them."""
+    """Return a mask of the smallest and the largest values. All values are ends if none lies between them."""
     inner: Booleans = (values > values.min()) & (values < values.max())
     return ~inner
 

@@ -40,7 +40,7 @@ class EstimatedParameter:
     key : str
         Name in the document of `pipeline identify`.
     ends_at_zero : bool
-        Whether the parameter is nonnegative, so that the profile likelihood determines an interval that reaches 0.
+        Whether the parameter is nonnegative. The profile likelihood then determines an interval that reaches 0.
     """
 
     name: str

@@ -163,7 +163,7 @@ class Fit:
     places : int64
         Indices of the numbers that vary between trials.
     few : bool
-        Whether there are few logs, so that units are portions instead of trials.
+        Whether there are few logs. Units are then portions instead of trials.
     repeats : float
         Mean number of consecutive equal readings, which count as one reading.
     open : float64, shape (p,)

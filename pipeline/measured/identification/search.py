@@ -112,7 +112,7 @@ def _scattered(segments: Segments, device: Device) -> Integers:
 def _with_noise(segments: Segments, device: Device, places: Integers, *, jitters: bool) -> Fit:
     """Return the fit of a device with the noise that whitens its errors.
 
-    The search for the noise uses short parts of the segments, each with a constant force, so that a force that changes
+    The search for the noise uses short parts of the segments, each with a constant force, so a force that changes
     slowly has no effect. With many logs, the constant force of each log contains such a force. With few logs, a further
     search from this noise therefore finds the maximum-likelihood random force over whole segments.
     """

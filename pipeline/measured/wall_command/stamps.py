@@ -47,7 +47,7 @@ class Stamps:
     odd : int
         Number of distances that deviate by more than half a period although no row is missing.
     scatters : bool
-        Whether the stamps deviate independently, so that the next distance compensates a distance that is too long. If
+        Whether the stamps deviate independently. The next distance then compensates a distance that is too long. If
         control is uneven, deviations accumulate instead.
     """
 

@@ -301,7 +301,8 @@ def _compared(line: StraightBound) -> str:
 
 
 def regions_table(result: ComparisonResult) -> Table | None:
-    """Return how much of the difference between measured and theoretical region each number of the logs explains."""
+    """Return the table of the effects of the numbers of the logs on the difference of measured and theoretical
+    region."""
     known = [e for e in result.experiments if e.scores and e.scores[0].region and e.scores[0].basis == "device file"]
     rows = []
     for e in known:

@@ -45,7 +45,7 @@ BORDER = "distance from the stability limit"
 
 NEAR_BORDER = (
     "Distances are lower bounds: by the lower end of the limit at this damping, and by the dampings at which this "
-    f"stiffness is stable. Close: the limit may be less than {NARROW} times away, so that an error of a quarter in "
+    f"stiffness is stable. Close: the limit may be less than {NARROW} times away, so an error of a quarter in "
     "mass or delay can make the wall unstable."
 )
 

@@ -229,7 +229,7 @@ def _damped_row(damped: Mapping[tuple[str, float | None], Row], row: Row, *, swe
 
 
 def closeness_note(rows: Sequence[Row]) -> str | None:
-    """Return how many optima of the logs lie closer to the stability limit than those of theory (6.2.4).
+    """State the number of optima of the logs that lie closer to the stability limit than those of theory (6.2.4).
 
     The note is None if no limit is known.
     """
@@ -294,7 +294,8 @@ def delay_form_table(rows: Sequence[Row]) -> Table | None:
 
 
 def _tested_percent(row: Row) -> float | None:
-    """Return how much the choice of tested walls alone raises the cost of theory, in percent. None if unknown."""
+    """Return the increase of the cost of theory due to the choice of tested walls alone, in percent. None if
+    unknown."""
     if row["grid"] is None or row["range"] is None:
         return None
     return float(100 * ((1 + row["grid"] / 100) * (1 + row["range"] / 100) - 1))
