@@ -27,7 +27,7 @@ CONNECT_S = 10.0
 """Time limit for connecting to a scheduler [s]. A restarted scheduler has lost its jobs in any case."""
 
 NO_WORKER_S = 30.0
-"""Time for which a run without workers waits [s]. A nanny restarts a killed worker within seconds."""
+"""Time for which a run waits for a worker [s]. A nanny restarts a killed worker within seconds."""
 
 _LOOK_S = 1.0
 """Interval at which the number of workers is checked [s]."""

@@ -119,7 +119,7 @@ class ComparisonPlan:
 
 
 def plan_comparison(selection: ComparisonSelection, report: ReportOptions | None = None) -> ComparisonPlan:
-    """Return what a comparison will compute. Nothing is computed or written.
+    """Return the plan of a comparison. Nothing is computed or written.
 
     Parameters
     ----------

@@ -24,8 +24,8 @@ DAMPED = "theory_damped"
 """Condition of the rows of theory with the measured damping."""
 
 OWN = "theory_of_"
-"""Beginning of the condition of theory with the stated device of an experiment, if the theory of its table has
-another one. The name of the experiment follows."""
+"""Beginning of the condition of theory with the stated device of an experiment, if the theory of its table has a
+different device. The name of the experiment follows."""
 
 _NUMBERS = ("stiffness", "damping", "cost")
 
@@ -67,8 +67,8 @@ class TableBuilder:
         """Return all rows, table after table.
 
         For each criterion, the rows of theory come before those of the experiments. One of them has the measured
-        damping of the experiment whose parameters theory uses, if it differs from the stated damping. Theory of the
-        stated device of another experiment comes before this experiment, if the device is another one.
+        damping of the experiment whose parameters theory uses, if it differs from the stated damping. If the stated
+        device of another experiment is different, the theory of this device comes before that experiment.
         """
         measured, damped = {r.experiment: r for r in results}, self.damped(results)
         stages = {e.experiment: e for e in self.data.experiments}
@@ -103,7 +103,8 @@ class TableBuilder:
         return tuple(rows)
 
     def _own(self, table: TableLayout, experiment: str) -> Theory | None:
-        """Return the theory of an experiment if the theory of its table is that of another device, else None."""
+        """Return the theory of an experiment if the theory of its table is based on a different device, otherwise
+        None."""
         own, leader = self.theories.get(experiment), self.theories.get(table.theory_from)
         is_other = own is not None and leader is not None and own.loop != leader.loop
         return own if table.kind != "delay" and is_other else None

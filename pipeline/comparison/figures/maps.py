@@ -74,10 +74,10 @@ OFTEN = 0.5
 value."""
 
 FEWEST_OFTEN = 5
-"""Smallest number of trials at such a value. The best of fewer trials depends on where they happen to lie."""
+"""Smallest number of trials at such a value. With fewer trials, the best trial depends on their random positions."""
 
 _FROM_OPTIMUM = 2 * LINES_PER_DOUBLING
-"""Index of the contour level at theory's optimum. The levels before it go down to a quarter of its cost."""
+"""Index of the contour level at theory's optimum. The lower levels extend to a quarter of its cost."""
 
 FRONT_RANGE = 4.0
 """Upper end of the front view, as a multiple of the highest optimum. This is the range that matters for a choice."""

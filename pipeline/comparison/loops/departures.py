@@ -261,7 +261,8 @@ class OtherGains:
 
     @property
     def few(self) -> bool:
-        """Whether so few logs follow another wall that the rest remains valid. These logs are listed and left out."""
+        """Whether so few logs follow another wall that the other logs remain valid. These logs are listed and left
+        out."""
         return len(self.logs) < min(FEWEST_LOGS, self.of)
 
     @property

@@ -91,7 +91,7 @@ class NotIdentified:
 
 @dataclass(frozen=True, eq=False)
 class Inadequate:
-    """A loop that no replay of tested walls confirms.
+    """A loop that is not confirmed by a replay of tested walls.
 
     Parameters
     ----------

@@ -56,7 +56,7 @@ class LoopBasis:
 
     @property
     def loops(self) -> list[Loop]:
-        """Each device's loop, followed by its loops at the ends of the 95 % intervals."""
+        """The loop of each device, followed by its loops at the ends of the 95 % intervals."""
         return [
             loop for device in self.devices for loop in (device.loop, *(end for both in device.ends for end in both))
         ]

@@ -130,7 +130,7 @@ def region_causes(
 
 
 def _replaced(stated: Loop, device: IdentifiedLoop) -> Iterator[tuple[ChangeCode, Loop]]:
-    """Yield the stated loop with one number or part of the logs each, if it differs."""
+    """Yield the stated loop with one number or part replaced by that of the logs, for each that differs."""
     of_logs, period = device.loop, stated.sampling_period_s
     own_lag, lag = (loop.actuator_lag_s / period for loop in (of_logs, stated))
     numbers: tuple[tuple[ChangeCode, str, float, float], ...] = (

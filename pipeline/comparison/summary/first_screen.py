@@ -104,7 +104,7 @@ class NextStep:
 
 
 def most_informative(results: Sequence[ExperimentNumbers]) -> int:
-    """Return the index of the experiment to unfold, which is the first one with the most answers."""
+    """Return the index of the experiment to unfold, which is the first with the most answers."""
     return max(range(len(results)), key=lambda i: (_worth(results[i]), -i))
 
 

@@ -30,7 +30,7 @@ FAR = 2.0
 CALM = 0.25
 """Largest overshoot of a wall to use, for a damping ratio of 0.4.
 
-A wall with more overshoot is not good, however early its motion happens to stay inside a band.
+A wall with more overshoot is not good, even if its motion settles early.
 """
 
 SPOILT = ("no_step", "travel_limit", "too_short", "saturated", "disturbed")
@@ -298,9 +298,9 @@ class WallTrials:
     def favoured(self, region: Rectangle, room: Floats, overshoot: Floats) -> int:
         """Return the trial of a region with low cost and level.
 
-        It lies between other walls of the region and overshoots by at most the region's median, if such trials exist.
-        At an edge, a small change of the loop leads out of the region. Of equal trials, it is the one farthest from the
-        limit.
+        If possible, the trial lies between other walls of the region and overshoots by at most the median of the
+        region. At an edge, a small change of the loop leads out of the region. Among equal trials, the trial farthest
+        from the limit is returned.
         """
         at = np.flatnonzero(self.inside(region) & np.isfinite(self.level) & self.finished)
         outer = _at_an_end(self.stiffness[at]).astype(np.int64) + _at_an_end(self.damping[at])

@@ -40,13 +40,13 @@ from pipeline.rendering.tables.formats import (
 from pipeline.theory.cases import continuous_rules
 
 BORDER = "distance from the stability limit"
-"""Head of the columns that state how far a wall is from the limit, in stiffness and in damping."""
+"""Head of the columns with the distance of a wall from the limit, in stiffness and in damping."""
 
 
 NEAR_BORDER = (
-    "Distances are lower bounds: by the lower end of the limit at this damping, and by the dampings at which this "
-    f"stiffness is stable. Close: the limit may be less than {NARROW} times away, so an error of a quarter in "
-    "mass or delay can make the wall unstable."
+    "Distances are lower bounds. They follow from the lower end of the limit at this damping, and from the dampings at "
+    f"which this stiffness is stable. Close: the limit may be less than {NARROW} times away, so an error of a quarter "
+    "in mass or delay can make the wall unstable."
 )
 
 
@@ -221,7 +221,7 @@ def _cost_of(criterion: str) -> Callable[[Any, Row], str]:
 
 
 def use_note(result: ExperimentResult) -> str:
-    """Return why the costs of a region did not select the walls to use, or why there are none.
+    """Return the reason why the costs of a region did not select the walls to use, or why there are none.
 
     The text is otherwise empty.
     """

@@ -44,7 +44,7 @@ def show_at_least(value: float, _: Row) -> str:
 
 
 def show_yes_or_no(value: bool, _: Row) -> str:
-    """Return whether a statement is true, as a word."""
+    """Return a word that states whether a statement is true."""
     return "yes" if value else "no"
 
 
