@@ -278,8 +278,8 @@ def compare_boundaries(
 ) -> tuple[BoundaryDifference | None, str | None]:
     """Return the difference of two boundaries, or the reason why there is none.
 
-    It is computed at those dampings of the first boundary that both cover. A limit comes from the growth rates if they
-    determine one, otherwise from the middle between stable and unstable trials. Censored points, which are lower
+    It is computed at the dampings of the first boundary that both boundaries cover. A limit comes from the growth rates
+    if they determine it, otherwise from the middle between stable and unstable trials. Censored points, which are lower
     bounds, are left out. The second boundary is interpolated linearly.
     """
     a, b = (_limits(points, scale) for points, scale in ((first, first_scale), (second, second_scale)))

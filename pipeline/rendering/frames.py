@@ -123,7 +123,7 @@ def units_of_tables(motion: Motion) -> dict[str, str]:
 
 
 def estimates_frame(results: Iterable[ExperimentNumbers], *, all_methods: bool = False) -> pd.DataFrame:
-    """Return the ``recommended`` estimates. On request, those of the other methods follow."""
+    """Return the ``recommended`` estimates. On request, the estimates of the other methods follow."""
     rows = []
     for result in results:
         for quantity, best in result.estimates.items():

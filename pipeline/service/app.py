@@ -40,7 +40,7 @@ from pipeline.service.workers import Workers
 ROUTERS = (api.api, lab, remarks, pages.pages, comparing)
 ANSWERED = (Problem, Later, PipelineError, OSError, sqlite3.OperationalError, ValidationError, RequestValidationError,
             HTTPException)  # fmt: skip
-"""Exceptions that are converted to answers to requests."""
+"""Exceptions that are converted to responses to requests."""
 
 THREADS = 12
 """Number of threads that answer requests. More threads would take memory and compete for the interpreter."""

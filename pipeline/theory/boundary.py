@@ -419,7 +419,8 @@ def soft_interval(loop: NormalisedLoop, beta: Floats) -> tuple[Floats, Floats]:
     found = stable_intervals(loop, beta)
     kept = np.flatnonzero(found.low <= 0)
     low, high = np.full(len(beta), np.nan), np.full(len(beta), -np.inf)
-    low[found.index[kept]], high[found.index[kept]] = found.low[kept], found.high[kept]  # the last one is the highest
+    # the last interval is the highest
+    low[found.index[kept]], high[found.index[kept]] = found.low[kept], found.high[kept]
     return low, high
 
 

@@ -37,7 +37,8 @@ MAP_LONGEST = 1 << 14
 """Largest number of samples of a response on a map. Only points near the boundary need more."""
 
 LARGEST_MAP = 4001
-"""Largest number of grid points along an axis, which takes minutes. The required memory is one block for any size."""
+"""Largest number of grid points along an axis, which takes minutes. The required memory is that of one block, for any
+size."""
 
 BLOCK = 1 << 16
 """Number of grid points of a block (at least one row). A block takes about 100 MB during computation. A map of 251 x

@@ -4,9 +4,9 @@ On the circle z = exp(j theta), a wall with alpha + beta N = -1/G has real alpha
 whose solutions are ratios of polynomials in s = tan^2(theta/2). All changes along the crossings of a loop are positive
 roots of such polynomials. At these points, beta has an extremum or is infinite, or alpha has an extremum or passes a
 level. `positive_roots` isolates the roots by Descartes' rule of signs on halved intervals, in doubles with bounded
-rounding errors. If doubles cannot decide an interval, exact integers are used for it, so that no root is missed.
-Between the roots, every branch is monotone in beta. The order of the roots determines how a branch changes the number
-of unstable poles.
+rounding errors. If doubles cannot decide an interval, exact integers are used, so that no root is missed. Between the
+roots, every branch is monotone in beta. The order of the roots determines how a branch changes the number of unstable
+poles.
 
 The place of a crossing is x = ln s, so that both ends of the circle have full precision. Values on the circle are
 computed from polynomials in w = j sqrt(s), or in 1/w for |w| > 1. They are exact before they are rounded

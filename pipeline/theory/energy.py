@@ -43,8 +43,8 @@ _TOGETHER = 1 << 17
 """Number of values of the recursion that are computed together, so that they fit into a cache."""
 
 _LONG = 64
-"""Smallest delay for which polynomials in z lose fewer digits than those in w, since they avoid binomials of the
-delay."""
+"""Smallest delay for which polynomials in z lose fewer digits than polynomials in w, because they avoid binomial
+coefficients of the delay."""
 
 LONGEST_SUM = 1 << 18
 """Largest number of samples of a sum with a non-integer exponent, for a spectral radius of about 1 - 1e-4."""

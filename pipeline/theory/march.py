@@ -4,7 +4,8 @@ A response is simulated exactly from sample to sample. Between samples, the moti
 the interval (`pipeline.theory.motion`), which is evaluated where the velocity changes sign. After some samples, the
 poles bound the remaining motion, in three steps.
 
-1. The poles are the roots of a polynomial in zeta = z - 1 and z, computed from those of a neighbouring wall (Ehrlich
+1. The poles are the roots of a polynomial in zeta = z - 1 and z, computed from the roots of a neighbouring wall
+(Ehrlich
    and Aberth). The eigenvectors follow from the adjugate. If roots coincide, eigenvectors of the whole matrix are
    inputs.
 2. Mode m has the size c_m over a sampling interval (hull of its Bernstein coefficients) and the decay s_m. The
@@ -611,7 +612,7 @@ def outweighs(view: Floats, lead: int, sample: float) -> bool:
 def below_a_peak(view: Floats, peak: float, sample: float) -> float:
     """Return a number of samples in which envelopes keep the motion below a peak, or infinity if they always do.
 
-    The number is at least half of the largest possible one. The envelopes keep the motion below a peak if all modes
+    The number is at least half of the largest possible number. The envelopes keep the motion below a peak if all modes
     that may rise above the final position are smaller than the peak, or while a real negative mode exceeds them. The
     ratio of a sum of exponentials to one exponential is convex in time, so its present value and one later value
     suffice. Once the other modes are below the peak, the motion can no longer exceed it.

@@ -86,7 +86,7 @@ def energy_forms(loop: NormalisedLoop) -> Floats:
     """Return the contributions of an interval to the sums of e^2 and v^2, as quadratic forms of `NormalisedLoop.seen`.
 
     The shape is (2, 2, 3, q, q). The first axis is for position and velocity. The second axis is for integrals of tau^w
-    over the interval and for the first sample, or the change to the next one, with its weight 1^w. The third axis is
+    over the interval and for the first sample, or the change to the next sample, with its weight 1^w. The third axis is
     for w = 0, 1, 2.
     """
     p, q = len(loop.device.sensor), len(loop.device.sensor) + len(loop.segments)
@@ -216,7 +216,7 @@ def interval_motion(loop: NormalisedLoop, between: bool) -> Constants:
     """Return the motion over a sampling interval, from own states and two forces, as an input of a march.
 
     Own states are the states without delayed forces, in the basis of `own_basis`. The wall forces in an interval are
-    the older and the newer one. The newer one has no effect if the delay is an integer.
+    the older and the newer one. The newer force has no effect if the delay is an integer.
 
     Returns
     -------

@@ -70,7 +70,7 @@ def required_damping(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Float
     if slowest > _SLOW:
         near, twice = (_needed(loop, alpha, beta, np.array([a])) for a in (lowest, 2 * lowest))
         return np.asarray(np.maximum(most, (4 * near - twice) / 3))
-    # the corner of a slow filter may be between two of the angles above, or below the first one
+    # the corner of a slow filter may be between two of the angles above, or below the first angle
     slow = search_lines(
         lambda line, x, _: -_needed_slowly(loop, alpha[line], beta[line], np.exp(x), lowest),
         *(np.full(len(alpha), np.log(_STILL * slowest)), np.full(len(alpha), np.log(_SLOW))),

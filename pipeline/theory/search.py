@@ -65,7 +65,7 @@ SMOOTH = Grids(coarse=25, looks=0, closer=0, fine=9, starts=2)
 JUMPING = Grids(coarse=61, looks=8, closer=6, fine=11, starts=2)
 """Grids for costs with jumps. Grids of every scale need points in a corner, and must not miss a deeper valley.
 A valley ends in a cliff along a curve with many corners. Only the minima of lines across the cliff show the lowest
-one."""
+minimum."""
 
 SHRINK = 0.45
 """Size of a grid relative to the previous one. With 11 (9) points, it spans 4.5 (3.6) cells of the previous grid."""
@@ -96,7 +96,7 @@ _NEAR_BEST = 1.1
 """Largest cost, relative to the best, of a point that is refined to the end. A refinement improves a cost by less."""
 
 _DEAR = 2.0
-"""Threshold for the cost, relative to the lowest known one. Above it, the minimum of a line is not needed."""
+"""Threshold for the cost, relative to the lowest known cost. Above it, the minimum of a line is not needed."""
 
 
 def where_stable(loop: NormalisedLoop, cost: Callable[..., Floats]) -> Callable[..., Floats]:

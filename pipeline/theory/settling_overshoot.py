@@ -1,9 +1,9 @@
 """Compute settling time, overshoot and rise time of the step response from the exact motion between samples.
 
 Each response is simulated separately until no requested result can change (`march`). A slow response is simulated for
-some samples. Its modes then show after which time it stays inside a band, and whether it may still exceed its peak, and
-they move the response to that time (`modes`). A motion is small only if all states of the device are small, so a node
-of a beat is not mistaken for its end.
+some samples. Its modes then show the time after which it stays inside a band, and whether it may still exceed its peak.
+They also move the response to that time (`modes`). A motion is small only if all states of the device are small, so a
+node of a beat is not mistaken for its end.
 """
 
 from __future__ import annotations

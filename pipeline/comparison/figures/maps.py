@@ -162,7 +162,7 @@ class CostMap:
 
 
 def _often(given: Floats, other: Floats) -> Floats:
-    """Return the values of one parameter that were tested at many values of the other.
+    """Return the values of one parameter that were tested at many values of the other parameter.
 
     At least half of the largest number of values counts as many.
     """
@@ -395,7 +395,8 @@ def _at_optimum(shown: CostMap) -> float:
 
 
 def _levels(criterion: str, maps: Sequence[CostMap]) -> Floats:
-    """Return the contour levels of all panels. They are those of the family, or two per doubling from theory's optimum.
+    """Return the contour levels of all panels. They are the levels of the family, or two levels per doubling from
+    theory's optimum.
 
     Without theory, they start from the lowest optimum. Some levels are lower, because experiments may be better than
     theory.

@@ -96,7 +96,7 @@ def _near_origin(limits: _Limits) -> _Limits:
 def _ideal(basis: LoopBasis) -> list[Loop]:
     """Return loops with only mass, damping, stiffness and delay.
 
-    The first loop has the estimated values. In the others, mass or damping is at an end of its interval.
+    The first loop has the estimated values. In the other loops, mass or damping is at an end of its interval.
     """
     of = basis.loop.apparent()
     ideal = Loop(
@@ -214,8 +214,8 @@ def straight_bound(result: MeasuredExperiment, basis: LoopBasis | None) -> Strai
 def _curvature(upper: _Limits, theory: Floats | None) -> dict[str, float]:
     """Return the curvature of measured limits with its interval, and that of theory at the same dampings.
 
-    Dampings at which theory has no stable wall are left out if enough others remain. The result is empty for too few
-    limits.
+    Dampings at which theory has no stable wall are left out if enough other dampings remain. The result is empty for
+    too few limits.
     """
     stable = np.zeros(len(upper), dtype=np.bool_) if theory is None else theory > 0
     compared = theory is not None and int(stable.sum()) > FEWEST

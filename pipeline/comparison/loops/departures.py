@@ -33,7 +33,7 @@ ANGLES = 512
 """Frequencies between zero and half the sampling frequency at which gains are compared."""
 
 NAMED = 10
-"""Largest number of logs listed by name. The list of trials shows all others as undecided, with the reasons."""
+"""Largest number of logs listed by name. The list of trials shows all other logs as undecided, with the reasons."""
 
 SHORT = "the command follows another wall than the headers state"
 

@@ -79,17 +79,18 @@ WELL = 0.9
 """Smallest overlap of the regions for which theory predicts a boundary. It allows an error of 5 % in both K and B."""
 
 BEYOND = 0.15
-"""Distance of the next damping beyond the largest tested one, relative to it, before it is rounded up to a multiple of
-the tested spacing."""
+"""Distance of the next damping from the largest tested damping, relative to the latter, before the next damping is
+rounded up to a multiple of the tested spacing."""
 
 BY_CHANCE = 0.05
 """Expected share of limits that lie outside their 95 % intervals by chance."""
 
 COSTS_WITHIN = (10.0, 30.0)
-"""Largest median deviation of costs [%] for which theory predicts them, and largest one for a partial prediction."""
+"""Largest median deviation of costs [%] for which theory predicts them, and for which it predicts them partly."""
 
 CLOSE = 0.05
-"""Largest median distance of limits from those of the identified device with friction for which it predicts them."""
+"""Largest median distance of limits from those of the identified device with friction, for which this device predicts
+the limits."""
 
 
 @dataclass(frozen=True)

@@ -317,7 +317,7 @@ def _at_an_end(values: Floats) -> Booleans:
 
 
 def levels(stiffness: Floats, damping: Floats, cost: Floats, usable: Booleans) -> Floats:
-    """Return the median cost of the `NEIGHBOURS` of each usable trial with a cost, or inf for the others."""
+    """Return the median cost of the `NEIGHBOURS` of each usable trial with a cost, or inf for the other trials."""
     judged = usable & np.isfinite(cost)
     level = np.full(len(cost), np.inf)
     if judged.sum() >= FEWEST:
@@ -326,7 +326,8 @@ def levels(stiffness: Floats, damping: Floats, cost: Floats, usable: Booleans) -
 
 
 def _nearest(stiffness: Floats, damping: Floats) -> np.ndarray:
-    """Return the indices of the `NEIGHBOURS` of each trial, or of all others if there are fewer, shape (n, count)."""
+    """Return the indices of the `NEIGHBOURS` of each trial, or of all other trials if there are fewer, shape (n,
+    count)."""
     from scipy.spatial import cKDTree
 
     points = np.stack([stiffness, damping], axis=1)

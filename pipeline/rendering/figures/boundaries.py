@@ -73,7 +73,8 @@ def measured(
     With ``intervals``, limits are drawn with their 95 % intervals, or with these two trials as ends.
     """
     stable = [p.stable is not None for p in limits]
-    # Dampings without a stable trial close the curve where they are next to dampings with one. Others are not needed.
+    # Dampings without a stable trial close the curve where they are next to dampings with a stable trial. Others are
+    # not needed.
     points = [p for i, p in enumerate(limits) if any(stable[max(i - 1, 0) : i + 2])]
     steps = [p.unstable - p.stable for p in limits if p.stable is not None and p.unstable is not None]
     ends = [(p.low, p.high) if None not in (p.low, p.high) else (p.stable, p.unstable) for p in points]
@@ -126,7 +127,7 @@ def _tested_part(series: Sequence[Series]) -> tuple[float, float]:
 
 
 def untested(tested: float, region: float, corner: tuple[float, float]) -> list[Series]:
-    """Return the dampings between the largest tested one and the corner of the axes as an area.
+    """Return the dampings between the largest tested damping and the corner of the axes as an area.
 
     The list is empty if theory's region does not extend far into them.
     """

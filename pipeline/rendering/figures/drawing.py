@@ -142,7 +142,7 @@ PALE_INTERVAL = "95 % interval"
 """Name in the legend of the pale bars along a limit."""
 
 THIN_INTERVAL = 2.0
-"""Largest width of an interval [points] that is drawn as an opaque line. Wider ones are pale bars."""
+"""Largest width of an interval [points] that is drawn as an opaque line. Wider intervals are pale bars."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -484,7 +484,7 @@ def _paint_series(axes: Axes, series: Series, place: str) -> None:
 def _name_curves(axes: Axes, named: Sequence[Series]) -> None:
     """Write the tag of each curve at its visible point with the largest x.
 
-    From the top down, a name that would cover another one is written below it.
+    From the top down, a name that would cover another name is written below that name.
     """
     box: dict[str, Any] = {"facecolor": PAPER, "edgecolor": "none", "pad": 0.6, "alpha": 0.8}
     names = []

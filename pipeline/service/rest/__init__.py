@@ -1,1 +1,1 @@
-"""REST interface: routes, answers, formats of samples, and theory computed in a separate process."""
+"""REST interface: routes, responses, formats of samples, and theory computed in a separate process."""

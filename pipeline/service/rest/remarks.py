@@ -111,7 +111,7 @@ WRITTEN = {
     )
     for form in (Notes, Tags)
 }
-"""Models of the answers with notes or tags, with the author and the time of the last change."""
+"""Models of the responses with notes or tags, with the author and the time of the last change."""
 
 
 def _add_words(path: str, of: Callable[..., list[str]], form: type[Notes | Tags]) -> None:

@@ -71,7 +71,7 @@ def test_without_a_device_nothing_deviates_as_far_as_is_known(result):
     assert lines_of(result)[3] == "What deviates: nothing found."
     unknown = result.answer.model_copy(update={"estimates": result.answer.estimates[4:]})
     without = result.model_copy(update={"answer": unknown})
-    assert lines_of(without)[3] == "What deviates: unknown, since no device was identified."
+    assert lines_of(without)[3] == "What deviates: unknown, because no device was identified."
 
 
 @pytest.mark.parametrize(("overlap", "code"), [(0.95, "yes"), (0.75, "no")])
@@ -366,7 +366,7 @@ def test_the_wall_to_measure_next_lies_beyond_the_last_damping_if_the_largest_li
 @pytest.mark.parametrize(
     ("span", "text"),
     [
-        (DampingSpan(low=72.0), "(9 above; mainly from B = 72 Ns/m on)."),
+        (DampingSpan(low=72.0), "(9 above; mainly from B = 72 Ns/m upward)."),
         (DampingSpan(high=72.0), "(9 above; mainly up to B = 72 Ns/m)."),
         (DampingSpan(low=24.0, high=72.0), "(9 above; mainly from B = 24 to 72 Ns/m)."),
         (DampingSpan(), "(9 above)."),
