@@ -322,7 +322,7 @@ def _without_limits(points: Sequence[BoundaryPoint]) -> str:
         return "all trials are undecided"
     if all(point.unstable is None for point in points):
         return "no trial was unstable up to the end of the tested ranges"
-    return "no damping has both a surely stable and a surely unstable trial"
+    return "no damping has both a certainly stable and a certainly unstable trial"
 
 
 def _limits(points: Sequence[BoundaryPoint], scale: Scale) -> Floats:
@@ -415,7 +415,8 @@ def against_experiments(
     """
     if first == second:
         raise UsageError(
-            f"device {first[0]!r}, experiment {first[1]!r}: cannot be compared with itself. Give another experiment."
+            f"device {first[0]!r}, experiment {first[1]!r}: an experiment cannot be compared with itself. Give another "
+            "experiment."
         )
     found = []
     for number, ((device, experiment), remarks) in enumerate(zip((first, second), notes, strict=True)):
@@ -478,11 +479,11 @@ def read_document(path: Path, device: str) -> Document:
         raise UsageError(f"{path}: cannot be read ({error}). Give the JSON document of a report.") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(
-            f"{path}: is not a result of `pipeline compare` ({type(error).__name__}: {str(error)[:200]}). Give the "
+            f"{path}: not a result of `pipeline compare` ({type(error).__name__}: {str(error)[:200]}). Give the "
             "JSON document of a report."
         ) from error
     if found["device"] != device:
-        raise UsageError(f"{path}: belongs to device {found['device']!r}; expected device {device!r}.")
+        raise UsageError(f"{path}: the result belongs to device {found['device']!r}; expected device {device!r}.")
     return dict(found)
 
 

@@ -127,7 +127,8 @@ def _reported(address: str, done: Sized, waiting: int) -> Iterator[None]:
             raise
         raise ClusterError(
             f"Dask at {address}: {reason}. {len(done)} of {waiting} experiments are done and stored. Repeat the "
-            "command when the cluster runs again; it computes the remaining ones. Without a cluster: --executor local."
+            "command when the cluster runs again; it computes the remaining experiments. Without a cluster, use "
+            "--executor local."
         ) from error
 
 
@@ -138,7 +139,7 @@ def _reason(error: Exception) -> str | None:
     if isinstance(error, ClusterError):
         return str(error)
     if isinstance(error, KilledWorker):
-        return f"an experiment ended {error.allowed_failures + 1} workers in a row; they may lack memory"
+        return f"one experiment ended {error.allowed_failures + 1} workers in a row, perhaps because they lack memory"
     if isinstance(error, RuntimeError) and "deserialization" in str(error):
         return "the scheduler or a worker lacks haptic-pipeline; install the same version for all of them"
     if isinstance(error, (CancelledError, OSError)) and not isinstance(error, PermissionError):

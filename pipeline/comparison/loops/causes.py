@@ -227,7 +227,7 @@ def _shared(evidence: LoopEvidence, basis: LoopBasis, device: IdentifiedLoop) ->
         yield _candidate(
             "force_gain",
             _limit_change(loop, device.at({**device.values, "mass": stated}), evidence)[0],
-            f"Force per unit of command, or the stated mass, is off by {change} %.",
+            f"Force per unit of command, or the stated mass, deviates by {change} %.",
             f"mass from the logs {significant(mass.value, 4)} ({_span(mass)}), by the device file "
             f"{significant(stated, 4)}",
         )

@@ -68,8 +68,8 @@ UNTIMED = {
         "the rows, which are unknown; to resolve this, log each sample of the control loop"
     ),
     "command_shifted": (
-        "the command is logged in another row than its position, so the delay is wrong by as many samples; to resolve "
-        "this, log command and position of the same sample in one row"
+        "the command is logged in a row other than that of its position, so the delay is wrong by as many samples; to "
+        "resolve this, log command and position of the same sample in one row"
     ),
     "sampling_period": (
         "the time stamps and the header state different sampling periods, and the logs do not show which is right: "

@@ -295,5 +295,5 @@ def _reason(basis: LoopBasis, replay: WallReplay | None, refused: str, of_file: 
         side = f"mode at the {basis.devices[0].mode_sensor}"
         parts = [side if part == "mode" else part for part in basis.devices[0].parts]
         what = listed(["mass", "damping", "delay", *parts])
-        clauses.append(f"it has {what}; a deviation of force per command appears in the mass")
+        clauses.append(f"the loop has {what}; an error of the force per command appears in the mass")
     return "; ".join(clauses)

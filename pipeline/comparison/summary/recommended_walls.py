@@ -161,8 +161,9 @@ def _no_limit(stiffness: Floats, stages: ExperimentStages) -> str:
     unstable = int((verdict == "unstable").sum())
     stable = int((verdict == "stable").sum())
     return (
-        f"no stability limit is known: it needs a stable and an unstable trial at one damping. Stable are {stable}, "
-        f"unstable {unstable}. Record {'other stiffnesses at their dampings' if unstable else 'stiffer walls'}"
+        f"no stability limit is known: it needs a stable and an unstable trial at one damping. There are {stable} "
+        f"stable and {unstable} unstable trials. "
+        f"Record {'other stiffnesses at their dampings' if unstable else 'stiffer walls'}"
     )
 
 
