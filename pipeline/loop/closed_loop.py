@@ -105,7 +105,7 @@ def derivative(series: Floats) -> Floats:
 def last_zero(series: Floats, end: float) -> float:
     """Return the last zero of a polynomial that is nonnegative at 0 and negative at ``end``."""
     slopes, low, high = derivative(series), 0.0, end
-    # start from the parabola with the value and slope at 0 and the value at the end
+    # the search starts from the parabola with the value and slope at 0 and the value at the end
     first, rate = series[0], series[1] * end
     bend = min(polynomial(series, end), 0.0) - first - rate
     divisor = sqrt(max(rate * rate - 4 * bend * first, 0.0)) - rate
@@ -259,7 +259,7 @@ def velocity(kind: int, numbers: Floats, period: float, memory: Floats, position
     if kind == DIFFERENCE:
         return float(position[row] - position[max(row - int(first), 0)]) / period / first
     if kind == WINDOW:
-        # the slope over the longest window whose samples are all within the bound of its line
+        # the velocity is the slope over the longest window whose samples are all within the bound of its line
         for count in range(1, min(row, int(numbers[0, 1])) + 1):
             slope = (position[row] - position[row - count]) / count
             for i in range(1, count):

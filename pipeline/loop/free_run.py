@@ -28,10 +28,10 @@ def free_run(
         x <- F x + G_1 u + G_2 (f - c_1 s_1) - G_3 c_2 s_2
 
     A step covers a whole piece if no side is at rest and no velocity changes its sign. Otherwise, the piece is divided
-    into sub-steps. A side at rest stays at rest if the other forces on it, a = A x + b u + f, do not exceed c_i. A side
-    whose velocity changes sign in a sub-step stops there if |a| <= c_i. Otherwise, its friction is reversed after the
-    crossing, which is found by interpolation. Without friction and gravity, the run is exact. Gravity acts on the motor
-    with -(a sin q + b cos q), at its angle q in the middle of a step.
+    into sub-steps. A side at rest stays at rest if the other forces on it, a = A x + b u + f, do not exceed c_i in
+    magnitude. A side whose velocity changes sign in a sub-step stops there if |a| <= c_i. Otherwise, its friction is
+    reversed after the crossing, which is found by interpolation. Without friction and gravity, the run is exact.
+    Gravity acts on the motor with -(a sin q + b cos q), at its angle q in the middle of a step.
 
     Parameters
     ----------

@@ -360,7 +360,7 @@ def answer_texts(estimate: AnswerEstimate) -> tuple[str, str]:
 def _with_equal_decimals(
     texts: tuple[str, str, str], numbers: tuple[float | None, float | None, float | None]
 ) -> tuple[str, str, str]:
-    """Return the texts of an interval with the smallest number of decimals of its ends and its value.
+    """Return the texts of an interval. All have the smallest number of decimals of its ends and its value.
 
     >>> _with_equal_decimals(("1.0000", "0.9985", "1.001"), (1.00001, 0.99852, 1.0013))
     ('1.000', '0.999', '1.001')

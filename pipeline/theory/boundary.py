@@ -204,7 +204,7 @@ def _corners(loop: NormalisedLoop, levels: Floats) -> Floats:
         if not len(low):
             break
         good, bad = bisect(partial(_are_bounded, loop, left), low, high)
-        # slightly off the corner, since rounding would decide at the corner
+        # slightly off the corner, because rounding would decide at the corner
         corners += [np.maximum(good - _ASIDE * np.abs(good), low), np.minimum(bad + _ASIDE * np.abs(bad), high)]
         low, left = bad, _bounds(loop, bad)
     return np.concatenate(corners)

@@ -25,7 +25,7 @@ from pipeline.theory.poles import spectral_radius, stable_by_radius
 from pipeline.theory.reachable import COST_OF_DELAY, Reachable, reachable
 from pipeline.theory.settling_overshoot import LONGEST
 
-if TYPE_CHECKING:  # its classes take longer to load than a short command takes to run
+if TYPE_CHECKING:  # loading its classes takes longer than a short command
     from pipeline.records.models import Device, Experiment, Motion
 
 WALL_COLUMNS = ("stiffness", "damping")

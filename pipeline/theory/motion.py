@@ -112,7 +112,7 @@ def forms_at_nodes(loop: NormalisedLoop, power: float = 0.0) -> tuple[Floats, Fl
     """
     times, forms, at_start = list[Floats](), list[list[Floats]](), leggauss(_GAUSS)
     if power:
-        from scipy.special import roots_jacobi  # takes longer to load than a theory command takes to run
+        from scipy.special import roots_jacobi  # loading this module takes longer than a theory command
 
         at_start = roots_jacobi(_GAUSS, 0.0, power)
     for piece, given in zip(pieces(loop), starts(loop), strict=True):

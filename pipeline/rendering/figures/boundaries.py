@@ -58,7 +58,7 @@ ANSWER = "boundaries-answer"
 
 MEASURED = "Measured: limit of stability at each damping, estimated from the growth rates of the trials."
 
-AT_LEAST = "Open marks: stiffest stable trial at dampings without an unstable one; the limit is higher."
+AT_LEAST = "Open marks: stiffest stable trial at dampings without an unstable trial; the limit is higher."
 
 
 def measured(

@@ -128,7 +128,7 @@ def sensitivity_figure(results: Sequence[ExperimentNumbers]) -> list[Figure]:
     )
     caption = (
         "Change in the largest stable stiffness of the identified loop due to one sample less of delay, or without one "
-        "of its parts. A part with a positive bar limits the device; one with a negative bar keeps it stable."
+        "of its parts. A part with a positive bar limits the device; a part with a negative bar keeps it stable."
     )
     return [
         Figure("boundaries", "boundaries-sensitivity", "What limits the device", caption, (panel,), size=(560.0, 260.0))

@@ -1,4 +1,4 @@
-"""Tables of what logs show and what they lack: outcomes, causes, missing results, notes and header lines."""
+"""Tables of outcomes, causes, missing results, notes and header lines of logs."""
 
 from __future__ import annotations
 
@@ -37,7 +37,10 @@ def outcomes_table(result: ComparisonResult) -> Table | None:
     columns = [Column("experiment"), *(Column(name, OUTCOMES[name], show=show_number) for name in shown)]
     table = table_of("outcomes", "Number of trials by outcome", columns, rows if shown else [], experiment_row)
     if table is not None and "settled" in shown:
-        table.mark("Settled: stays within 2 % of x_0 + F_0/K. More logs come to rest, some of them elsewhere.")
+        table.mark(
+            "Settled: the position stays within 2 % of x_0 + F_0/K. Logs with other outcomes may also come to rest, some "
+            "of them at another position."
+        )
     if table is not None and "disturbed" in shown:
         table.mark("Disturbed: a force of 5 % of the step or more acts in addition to command, mass and damping.")
     return table
@@ -98,7 +101,7 @@ def manual_tables(f: Mapping[str, list[Row]]) -> dict[str, Table | None]:
 
 
 def header_table(result: ComparisonResult) -> Table | None:
-    """Return the header lines of the logs that no number uses."""
+    """Return the header lines of the logs that do not affect any number."""
     rows = []
     for e in result.experiments:
         for line in e.header:

@@ -222,7 +222,7 @@ def _leads(result: ExperimentNumbers, theory: Row) -> bool:
 
 
 def _damped_row(damped: Mapping[tuple[str, float | None], Row], row: Row, *, swept: bool) -> Row | None:
-    """Return the row of theory with the measured damping that belongs to a measured row, or None."""
+    """Return the row of theory with the measured damping for a measured row, or None."""
     if swept:
         return damped.get((row["criterion"], row["delay_samples"]))
     return next((each for (criterion, _), each in damped.items() if criterion == row["criterion"]), None)
