@@ -38,8 +38,8 @@ def outcomes_table(result: ComparisonResult) -> Table | None:
     table = table_of("outcomes", "Number of trials by outcome", columns, rows if shown else [], experiment_row)
     if table is not None and "settled" in shown:
         table.mark(
-            "Settled: the position stays within 2 % of x_0 + F_0/K. Logs with other outcomes may also come to rest, some "
-            "of them at another position."
+            "Settled: the position stays within 2 % of x_0 + F_0/K. Logs with other outcomes may also come to rest, "
+            "some of them at another position."
         )
     if table is not None and "disturbed" in shown:
         table.mark("Disturbed: a force of 5 % of the step or more acts in addition to command, mass and damping.")
