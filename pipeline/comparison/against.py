@@ -479,7 +479,7 @@ def read_document(path: Path, device: str) -> Document:
         raise UsageError(f"{path}: cannot be read ({error}). Give the JSON document of a report.") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(
-            f"{path}: not a result of `pipeline compare` ({type(error).__name__}: {str(error)[:200]}). Give the "
+            f"{path}: is not a result of `pipeline compare` ({type(error).__name__}: {str(error)[:200]}). Give the "
             "JSON document of a report."
         ) from error
     if found["device"] != device:
