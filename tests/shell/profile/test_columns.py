@@ -133,7 +133,7 @@ def test_a_position_that_falls_under_force_is_turned_round_by_the_wall_law(call,
     force = ("--command", '"F soll, u":N', "--step", "8 N")
     status, _, err = call("ingest", "logs", *READ, *force)
     assert status == 0
-    assert "sign of the position is -1, because in all 4 logs" in err
+    assert "sign of the position is -1, because a positive command reduces the position in all 4 logs" in err
     assert positions(tmp_path, 1500.0)[-1] > 0
     explicit = [word.replace("s:mm", "-s:mm") for word in READ]
     call("ingest", "logs", *explicit, "--command", '"F soll, u":N', "--step", "8 N", "--processed", "other")
