@@ -443,9 +443,8 @@ def corrected(by: Forecast, ends: Floats, dampings: Floats) -> Forecast:
 
     ``ends`` (n, 2) contains the bracket at each damping. At dampings with a closed bracket, the errors of the forecast
     are interpolated over damping by a Gaussian process (kriging). Its standard deviation combines the misfit with the
-    error of the forecast, and its correlation length is `SMOOTH` times the range of dampings. A
-    correction exceeds no error so far. Otherwise, two errors of opposite sign at the last dampings would give a larger
-    one beyond them.
+    error of the forecast, and its correlation length is `SMOOTH` times the range of dampings. A correction exceeds no
+    error so far. Otherwise, two errors of opposite sign at the last dampings would give a larger error beyond them.
     """
     low, high = ends.T
     largest = max(float(by.limit.max()), float(low.max())) or 1.0  # any value is valid if all are zero

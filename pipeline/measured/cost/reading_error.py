@@ -16,6 +16,7 @@ from pipeline.base.compiled import compiled
 from pipeline.base.errors import ParameterError
 from pipeline.measured.signal.response import Response, RestPositions
 from pipeline.measured.signal.verdict import REST_FLOORS
+from pipeline.measured.student import NORMAL_QUARTILE
 from pipeline.records.criteria import SETTLING_BANDS
 from pipeline.records.trials import Floats, Integers, Trial
 
@@ -70,9 +71,6 @@ by chance in 2 % of the trials."""
 LARGEST_REST = max(SETTLING_BANDS.values())
 """Largest motion, relative to the final displacement, that is treated as rest: the widest settling band."""
 
-
-NORMAL_QUARTILE = 0.6745
-"""Median distance of normal values from their mean, relative to their standard deviation."""
 
 ERROR_OF_MEDIAN = 1.2533
 """Standard error of the median of normal values, relative to that of their mean (root of pi/2)."""
