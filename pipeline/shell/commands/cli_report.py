@@ -37,7 +37,9 @@ if TYPE_CHECKING:
 
 
 def compare(
-    device: Annotated[str | None, option("--device", "Device: name or file (.toml) (default: the only one).")] = None,
+    device: Annotated[
+        str | None, option("--device", "Device: name or file (.toml) (default: of the scene, or the only one).")
+    ] = None,
     experiment: Experiments = None,
     criteria: Criteria = None,
     processed: Store = "processed",
