@@ -312,7 +312,7 @@ def test_the_only_device_of_a_store_needs_no_name(call, course, tmp_path):
     assert given == named
     status, _, err = call("compare", "--processed", str(tmp_path))
     assert status == 2
-    assert "ingest logs first: pipeline ingest LOGS" in " ".join(re.sub("[│╭╮╰╯─]", " ", err).split())
+    assert "Ingest logs first: pipeline ingest LOGS" in " ".join(re.sub("[│╭╮╰╯─]", " ", err).split())
 
 
 def test_compare_says_what_it_would_do_and_why(call, course, tmp_path):

@@ -137,21 +137,19 @@ def compare(
 def _only_device(processed: str) -> str:
     """Return the device of a store that contains logs of only one device. An object store is not downloaded for this
     purpose."""
+    from pipeline.base.wording import listed
     from pipeline.store.objects import is_url
     from pipeline.store.storage import list_devices
 
     devices = None if is_url(processed) else list_devices(Path(processed))
     if devices is not None and len(devices) == 1:
         return devices[0]
-    if devices is None:
-        stored = ""
-    elif devices:
-        stored = f"; {processed} contains {', '.join(devices)}"
-    else:
-        stored = f"; {processed} contains no logs, so ingest logs first: pipeline ingest LOGS --processed {processed}"
-    raise typer.BadParameter(
-        f"no device is given{stored}. Name it with --device or in a scene file.", param_hint="--device"
-    )
+    reason = "no device is given. Name it with --device or in a scene file."
+    if devices:
+        reason = f"no device is given, and {processed} contains {listed(devices)}. Name one of them with --device."
+    elif devices is not None:
+        reason = f"{processed} contains no logs. Ingest logs first: pipeline ingest LOGS --processed {processed}"
+    raise typer.BadParameter(reason, param_hint="--device")
 
 
 def _shown(shown: Shown | None, final: str | None, momentum_delay: int | None, momentum_window: str | None) -> Shown:
