@@ -5,12 +5,11 @@ the interval (`pipeline.theory.motion`), which is evaluated where the velocity c
 poles bound the remaining motion, in three steps.
 
 1. The poles are the roots of a polynomial in zeta = z - 1 and z, computed from the roots of a neighbouring wall
-(Ehrlich
-   and Aberth). The eigenvectors follow from the adjugate. If roots coincide, eigenvectors of the whole matrix are
-   inputs.
+   (Ehrlich and Aberth). The eigenvectors follow from the adjugate. If roots coincide, eigenvectors of the whole matrix
+   are inputs.
 2. Mode m has the size c_m over a sampling interval (hull of its Bernstein coefficients) and the decay s_m. The
-deviation from sample k onward is at most sum_m c_m exp(-s_m k). If this sum is inside a band, the response stays
-inside.
+   deviation from sample k onward is at most sum_m c_m exp(-s_m k). If this sum is inside a band, the response stays
+   inside.
 3. The modes move the response to some samples before this time. It is then simulated to the end, which gives the last
    entry into the band. For the overshoot, it is simulated while the sum of the modes that can exceed the final position
    is larger than the peak.
@@ -725,7 +724,8 @@ def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, requested: Arrays
         (n, modes, states), if polynomials do not provide them. Otherwise, n = 0.
     out : tuple
         Costs, shape (n, 2 bands + 2), as an output: settling times and overshoot of the samples, then of the motion;
-        status, shape (n,); and arrays of `_work`.
+        status, shape (n,); the work array of
+        `settling_overshoot`, and complex rows for guesses, poles and modes.
     """
     _, _, curves, timing = interval
     alpha, beta, (_, _, _, start) = walls

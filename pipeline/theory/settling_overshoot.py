@@ -202,7 +202,7 @@ def _of_walls(loop: NormalisedLoop) -> Constants:
 def _rows(loop: NormalisedLoop, bands: int) -> Floats:
     """Return the work array of a march, whose rows are long enough for all of its contents."""
     n = loop.states
-    return np.empty((march.ENTRY + bands + n, max(n - loop.oldest_force + 5, n, DEGREE + 1)))
+    return np.empty((march.ENTRY + bands + n, max(n - loop.oldest_force + 5, n, DEGREE + 1, bands)))
 
 
 def _memory(loop: NormalisedLoop) -> int:

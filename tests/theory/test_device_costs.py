@@ -253,3 +253,11 @@ def test_the_soonest_rise_is_a_limit_at_the_edge():
     assert found.alpha == pytest.approx(
         float(stiffness_limit(NormalisedLoop.ideal(1e-3, 0.02, 1.5), found.beta)[0]), rel=1e-9
     )
+
+
+def test_many_bands_at_once_have_the_settling_times_of_each_alone():
+    loop = pipeline.Loop(0.2, 0.5, 0.001, 2)
+    names = ["overshoot", *(f"settle_{percent}pct_discrete" for percent in range(1, 31))]
+    together = loop.points([4000.0], [50.0], names)
+    alone = {name: float(loop.points([4000.0], [50.0], [name])[name].iloc[0]) for name in names}
+    assert {name: float(together[name].iloc[0]) for name in names} == alone
