@@ -228,7 +228,8 @@ def _room_of_stable(rig: Loop, wish: DesignTarget, walls: Floats, above: float) 
     """Compute the margins of walls for a rig, shape (n,). They are -inf if a wall or a softer wall is unstable."""
     loop, room = rig.normalised_loop, np.full(len(walls), -math.inf)
     alpha, beta = walls.T / [[rig.units.stiffness], [rig.units.damping]]
-    stable = np.flatnonzero(wish.margin * alpha < soft_interval(loop, beta)[1])
+    levels, of = np.unique(beta, return_inverse=True)
+    stable = np.flatnonzero(wish.margin * alpha < soft_interval(loop, levels)[1][of])
     if len(stable) and (wish.settling_s is not None or wish.overshoot is not None):
         room[stable] = np.minimum(-_NOTHING, _spare(rig, wish, alpha[stable], beta[stable], above))
     elif len(stable):
@@ -244,7 +245,8 @@ def _room_of_unstable(rig: Loop, wish: DesignTarget, walls: Floats) -> Floats:
     left = _softer(rig.normalised_loop, wish.margin * alpha, beta, left)
     if wish.settling_s is None and wish.overshoot is None:
         return left
-    return np.where(left > 0, -_NOTHING, left + 2 * _NOTHING)  # unstable walls rank below all stable walls
+    # Unstable walls rank below all stable walls. The best of them is a wall at its limit, whose radius rounds below 1.
+    return np.where(left > 0, _NOTHING, left + 2 * _NOTHING)
 
 
 def _softer(loop: NormalisedLoop, alpha: Floats, beta: Floats, left: Floats) -> Floats:
