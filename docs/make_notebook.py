@@ -16,6 +16,7 @@ import matplotlib
 NOTEBOOK = Path(__file__).parent / "notebook.ipynb"
 
 DOTS_PER_INCH = 100
+"""Resolution of figures, with which 6 inches fill the width of a page."""
 
 
 def lines_of(text: str) -> list[str]:
@@ -28,7 +29,7 @@ def run_cell(source: str, names: dict[str, Any]) -> list[dict[str, Any]]:
     from matplotlib import pyplot as plt
 
     tree, value, printed = ast.parse(source), None, io.StringIO()
-    last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else None
+    last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
     with redirect_stdout(printed):
         exec(compile(tree, NOTEBOOK.name, "exec"), names)
         if isinstance(last, ast.Expr):

@@ -1,8 +1,9 @@
-"""Loops that numba compiles at their first call, and that are stored on disk for later processes. A command that calls
-no such loop does not import numba. With ``NUMBA_DISABLE_JIT=1``, plain Python functions are run, so that a debugger can
-be used. They are slow, but return the same results. Machine code is stored in the folder ``NUMBA_CACHE_DIR``, by
-default in the cache folder of the user. If this folder is read-only, each process compiles in memory. Otherwise, only
-one process compiles at a time, so that several processes do not compile the same function.
+"""Loops that numba compiles at their first call, and that are stored on disk for later processes.
+
+A command that calls no such loop does not import numba. With ``NUMBA_DISABLE_JIT=1``, plain Python functions are run,
+so that a debugger can be used. They are slow, but return the same results. Machine code is stored in the folder
+``NUMBA_CACHE_DIR``, by default in the cache folder of the user. If this folder is read-only, each process compiles in
+memory. Otherwise, only one process compiles at a time, so that several processes do not compile the same function.
 """
 
 from __future__ import annotations

@@ -260,6 +260,7 @@ def if_writable() -> Iterator[None]:
 
 def remove_temporary(folder: Path, age_s: float = 0.0, deep: bool = False) -> None:
     """Remove leftovers of interrupted writers from a folder, if possible, and from its subfolders if `deep` is true.
+
     Use an age of 0 only if no other process can write there.
     """
     for file in (folder.rglob if deep else folder.glob)(_TEMPORARY):

@@ -54,7 +54,8 @@ SHIFTED_ROWS = 2.0
 """Largest offset between command and position of a log [rows]."""
 
 SHARE = 0.05
-"""Smallest share of the largest command that the term of a gain must contribute for the gain to be estimated."""
+"""Smallest share of the largest command that the term of a gain must contribute for the gain to be estimated. Where
+gains are not stated, a share of the largest command so far suffices if the gain is significant."""
 
 LIMIT_ROWS = 3
 """Smallest number of rows at the largest or smallest command for which the command counts as clipped."""

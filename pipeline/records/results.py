@@ -572,6 +572,11 @@ class ReachableCost(Record):
     optimum: float | None = None
 
 
+REACHED = 0.9
+"""Smallest ratio of the largest tested damping to the largest stable damping of theory for which the tests cover the
+region. Beyond nine tenths, theory's limit has fallen to a quarter of its maximum."""
+
+
 class Prediction(Record):
     """Agreement of theory with the device: distance of the measured limits, and of the costs at tested walls.
 
@@ -709,8 +714,8 @@ class MeasuredExperiment(Record):
     def largest_limit(self) -> Limit | None:
         """Largest limit over the tested dampings, with its 95 % interval, or None if no limit is known.
 
-        Each limit bounds the largest one from below. It therefore lies between the largest lower end and the largest
-        upper end of the limits, at whichever damping it is.
+        Each limit bounds the largest limit from below. It therefore lies between the largest lower end and the largest
+        upper end of the limits, at whichever damping it is. If any limit is censored, there is no upper end.
         """
         point, known = self.stiffest, [limit for each in self.boundary if (limit := each.limit)]
         if point is None or (largest := point.limit) is None:
@@ -720,7 +725,7 @@ class MeasuredExperiment(Record):
             stiffness=largest.stiffness,
             low=max(limit.low for limit in known),
             high=max(limit.high for limit in known),
-            censored=largest.censored,
+            censored=any(limit.censored for limit in known),
             stiffness_large_motion=point.stiffness_large_motion,
         )
 

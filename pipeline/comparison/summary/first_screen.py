@@ -34,6 +34,7 @@ from pipeline.planning.planner import NOTES, plan_of
 from pipeline.records.findings import MATTERS
 from pipeline.records.models import ComparisonRow, Experiment
 from pipeline.records.results import (
+    REACHED,
     Answer,
     AnswerEstimate,
     Cause,
@@ -44,7 +45,6 @@ from pipeline.records.results import (
     ReachableCost,
     TestedWall,
 )
-from pipeline.rendering.figures.boundaries import REACHED
 from pipeline.rendering.labels import (
     Units,
     estimate_texts,
@@ -218,7 +218,7 @@ def _estimates(result: ExperimentNumbers, units: Units, *, limit: bool) -> tuple
                 large_motion=largest.stiffness_large_motion,
                 damping=largest.damping,
                 at_last_damping=_ends_at_last_damping(result),
-                bracketed=(largest.low, largest.high) == (point.stable, point.unstable),
+                bracketed=point.estimate is None and not largest.censored,
             )
         )
     replay = result.replay
@@ -307,7 +307,7 @@ def _prediction(result: ExperimentNumbers, rows: Sequence[ComparisonRow], misled
         dampings=len(result.boundary),
         delay_samples=None if theory is None else theory.parameters.loop.apparent().delay_samples,
         of_file=theory is not None and theory.basis == "device file",
-        **_tested_part(result),
+        **_tested_range(result),
     )
     if region is None and (rubbed := _with_friction(result)) is not None:
         return judged(code="with_friction", percent_with_friction=_percent(rubbed), limits=rubbed.dampings)
@@ -338,7 +338,7 @@ def _prediction(result: ExperimentNumbers, rows: Sequence[ComparisonRow], misled
     )
 
 
-def _tested_part(result: ExperimentNumbers) -> dict[str, float]:
+def _tested_range(result: ExperimentNumbers) -> dict[str, float]:
     """Return the largest tested damping and the largest stable damping of theory, if the latter is far larger."""
     damping, tested = result.scores[0].damping if result.scores else None, [p.damping for p in result.boundary]
     if damping is None or max(tested) >= REACHED * damping.theory:

@@ -300,14 +300,15 @@ class WallTrials:
         """Return the trial of a region with low cost and level.
 
         If possible, the trial lies between other walls of the region and overshoots by at most the median of the
-        region. At an edge, a small change of the loop leads out of the region. Among equal trials, the trial farthest
-        from the limit is returned.
+        region; an unknown overshoot counts as larger. At an edge, a small change of the loop leads out of the region.
+        Among equal trials, the trial farthest from the limit is returned.
         """
         at = np.flatnonzero(self.inside(region) & np.isfinite(self.level) & self.finished)
         outer = _at_an_end(self.stiffness[at]).astype(np.int64) + _at_an_end(self.damping[at])
-        over = np.nan_to_num(overshoot[at])
+        known = np.isfinite(overshoot[at])
+        usual = np.median(overshoot[at][known]) if known.any() else np.inf
         worse = np.maximum(self.cost[at], self.level[at])
-        order = np.lexsort([-room[at] / self.stiffness[at], worse, over > np.median(over), outer])
+        order = np.lexsort([-room[at] / self.stiffness[at], worse, ~(overshoot[at] <= usual), outer])
         return int(at[order[0]])
 
 

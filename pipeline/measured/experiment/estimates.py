@@ -24,7 +24,7 @@ LEAST_OFFSET = 0.01
 """Distance [samples] from a whole number up to which a delay is always rounded, because the bias of a fit may be as
 large."""
 
-MOMENTUM_WINDOWS = {"": "", "_longer": " over twice the window", "_later": " over its second half"}
+MOMENTUM_WINDOWS = {"": "", "_longer": " over twice the window", "_later": " over the second half of twice the window"}
 """Windows of the momentum balance with their descriptions. Keys are column suffixes. The results of later windows are
 irregular (6.1.2)."""
 

@@ -59,6 +59,8 @@ def near_optimum(near: Booleans, stiffness: Floats, damping: Floats) -> NearOpti
 def is_alone(member: Booleans, stiffness: Floats, damping: Floats, of_stiffness: float, of_damping: float) -> bool:
     """Return whether a wall has too few members of a region next to it to be part of the region.
 
+    A wall without neighbours is not alone, because nothing shows that a region ends next to it.
+
     Parameters
     ----------
     member : bool, shape (n,)
@@ -71,7 +73,7 @@ def is_alone(member: Booleans, stiffness: Floats, damping: Floats, of_stiffness:
     away = np.hypot((stiffness - of_stiffness) / _step_of(stiffness), (damping - of_damping) / _step_of(damping))
     order = np.lexsort((damping, stiffness, np.round(away, 9)))
     nearest = order[away[order] > 0][:AROUND]
-    return bool(member[nearest].sum() < FEWEST_AROUND)
+    return bool(member[nearest].sum() < min(FEWEST_AROUND, len(nearest)))
 
 
 def cost_scatter(cost: Floats, stiffness: Floats, damping: Floats) -> float | None:

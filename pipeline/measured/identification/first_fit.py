@@ -67,18 +67,18 @@ def first_fit(
     bounds, fit, tried = {}, None, dict[str, TriedPart]()
     if "coulomb" in begin[0].numbers and len(segments := segments_of(recordings, units, lead, True)):
         whole = _searched(segments, begin)
-        bounds = {name: _upper(whole, name, units) for name in ("friction.coulomb", "stiffness")}
+        bounds = {name: upper_end(whole, name, units) for name in ("friction.coulomb", "stiffness")}
         fit, spring = _worth(segments, whole, begin[0])
         gain, numbers = loss_without(fit, "coulomb"), fit.device.numbers
         rubs = gain > WORTH and numbers["coulomb"] / numbers["gain"] > SLIGHT
-        if rubs or _upper(fit, "friction.coulomb", units) >= UNSEEN_FRICTION * units.command:
+        if rubs or upper_end(fit, "friction.coulomb", units) >= UNSEEN_FRICTION * units.command:
             tried = {"friction": TriedPart("accepted" if rubs else "undecided", gain, WORTH), "stiffness": spring}
             return Selection(segments, fit, {"friction": gain if rubs else 0.0} | _found(spring), tried), bounds
         tried = {"friction": TriedPart("size", gain, WORTH)}
     segments = segments_of(recordings, units, lead, False)
     starts = [_sliding(each) for each in begin]
     fit = refined(segments, _sliding(fit.device), far=False) if fit is not None else _searched(segments, starts)
-    bounds["stiffness"] = _upper(fit, "stiffness", units)
+    bounds["stiffness"] = upper_end(fit, "stiffness", units)
     fit, spring = _worth(segments, fit, starts[0])
     return Selection(segments, fit, _found(spring), tried | {"stiffness": spring}), bounds
 
@@ -88,7 +88,7 @@ def _found(spring: TriedPart) -> dict[str, float]:
     return {"stiffness": spring.gain} if spring.decision == "accepted" else {}
 
 
-def _upper(fit: Fit, name: str, units: LogUnits) -> float:
+def upper_end(fit: Fit, name: str, units: LogUnits) -> float:
     """Return the upper end of the interval of a nonnegative quantity."""
     return Errors.of(fit).interval(ESTIMATED[name].quantity(units), ends_at_zero=True).high
 

@@ -15,7 +15,6 @@ from pipeline.measured.identification.first_fit import (
     SHORTER,
     UNSEEN_FRICTION,
     Selection,
-    _upper,
     base_numbers,
     devices_of,
     first_devices,
@@ -23,6 +22,7 @@ from pipeline.measured.identification.first_fit import (
     loss_without,
     some_of,
     springless,
+    upper_end,
 )
 from pipeline.measured.identification.first_guess import BALANCED
 from pipeline.measured.identification.force_limit import LIMIT_DELAY, exceeds_noise, saturated
@@ -348,7 +348,7 @@ def _pruned(logs: Logs, state: Selection) -> Selection:
             parts = parts | {name: parts[name] or gain}
             continue
         if name == "friction":
-            if _upper(fit, "friction.coulomb", units) >= UNSEEN_FRICTION * units.command:
+            if upper_end(fit, "friction.coulomb", units) >= UNSEEN_FRICTION * units.command:
                 tried[name] = TriedPart("undecided", gain, WORTH)
                 parts = parts | {"friction": 0.0}
                 continue

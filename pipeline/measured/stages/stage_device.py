@@ -306,7 +306,10 @@ def usable_recordings(trials: Sequence[MeasuredTrial]) -> list[Recording]:
 
 
 def unusable_trials(trials: Sequence[MeasuredTrial]) -> dict[str, str]:
-    """Return why trials of logs that are not stored are not used for a device, by trial."""
+    """Return why trials are not used for a device: a sentence for each such trial, with its id as the key.
+
+    The trials are those of logs that are not stored.
+    """
     walls, reasons = any(each.trial.stiffness > 0 for each in trials), dict[str, str]()
     for each in trials:
         fault = next((finding.sentence for finding in each.findings if finding.leaves_out), "")

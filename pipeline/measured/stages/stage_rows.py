@@ -126,8 +126,8 @@ NO_DELAY = "the delay is required, but it is unknown"
 
 
 def mass(of: MeasuredTrial, inputs: MassInputs) -> MassRow:
-    """Return the mass of a trial from momentum balances over the window, over twice the window, and over the second
-    half."""
+    """Return the mass of a trial from momentum balances over the window, over twice the window, and over the window
+    that follows the first one."""
     window = inputs.window_s
     first, longer, later = (
         thesis.by_momentum(of.trial, of.response, inputs.delay, window_s=end, after_s=begin)
@@ -156,7 +156,8 @@ def energy_inputs(of: Experiment) -> CostInputs | Missing:
     if found.value is None:
         return Missing(f"energy costs require the mass: {found.reason}")
     error, timed = standard_error(found), of.once(timed_inputs)
-    error = as_known(error, error / math.sqrt(2 * max(of.trials.num_rows, 1)))  # a standard error of n values
+    # a standard deviation from n values has the relative standard error 1/sqrt(2 n)
+    error = as_known(error, error / math.sqrt(2 * max(found.trials or 1, 1)))
     if isinstance(timed, Missing):
         return timed
     return replace(timed, mass=as_known(found.value, error), mass_error=error)

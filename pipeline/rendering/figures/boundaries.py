@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.records.findings import BoundaryPoint
 from pipeline.records.models import FigureKind, Motion, Overlay, PublishedBound, Shown
-from pipeline.records.results import ExperimentNumbers, NextWall, SourcedLoop
+from pipeline.records.results import REACHED, ExperimentNumbers, NextWall, SourcedLoop
 from pipeline.records.trials import Floats
 from pipeline.rendering.figures.drawing import Figure, Panel, Series, reach
 from pipeline.rendering.labels import UNITS, damping_text, stiffness_text
@@ -46,17 +46,13 @@ NOT_DRAWN: dict[Overlay, str] = {
 TESTED = ("measured", "bound", "stable", "unstable")
 """Kinds of series with tested walls."""
 
-REACHED = 0.9
-"""Smallest ratio of the largest tested damping to the largest stable damping of theory for which the tests cover the
-region.
-
-Beyond nine tenths, theory's limit has fallen to a quarter of its maximum.
-"""
-
 ANSWER = "boundaries-answer"
 """Identifier of the figure on the first screen."""
 
-MEASURED = "Measured: limit of stability at each damping, estimated from the growth rates of the trials."
+MEASURED = (
+    "Measured: limit of stability at each damping, estimated from the growth rates of the trials. If these do not "
+    "determine it, the middle between the stiffest stable and the softest unstable trial is shown."
+)
 
 AT_LEAST = "Open marks: stiffest stable trial at dampings without an unstable trial; the limit is higher."
 

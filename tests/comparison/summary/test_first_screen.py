@@ -207,6 +207,29 @@ def test_the_largest_stable_stiffness_is_the_largest_limit_and_not_the_limit_of_
     assert (limit.low, limit.high) == (2130.0, 2190.0), "the largest may be where the interval is widest"
 
 
+def test_the_largest_stable_stiffness_has_no_upper_end_where_any_damping_has_none(data, result):
+    common = {"unstable": None, "low": None, "high": None}
+    points = (
+        BoundaryPoint(
+            damping=10.0, stable=940.0, unstable=1060.0, censored=False, estimate=1000.0, low=950.0, high=1050.0
+        ),
+        BoundaryPoint(damping=20.0, stable=999.0, censored=True, estimate=None, **common),
+    )
+    (limit,) = (e for e in told(data, result, boundary=points).estimates if e.name == "stiffness_max")
+    assert (limit.value, limit.low, limit.high, limit.bracketed) == (1000.0, 999.0, None, False)
+
+
+def test_a_bracket_is_named_beside_limits_with_an_interval(data, result):
+    points = (
+        BoundaryPoint(damping=10.0, stable=900.0, unstable=1100.0, censored=False, estimate=None, low=None, high=None),
+        BoundaryPoint(
+            damping=20.0, stable=940.0, unstable=980.0, censored=False, estimate=960.0, low=950.0, high=970.0
+        ),
+    )
+    (limit,) = (e for e in told(data, result, boundary=points).estimates if e.name == "stiffness_max")
+    assert (limit.value, limit.low, limit.high, limit.bracketed) == (1000.0, 950.0, 1100.0, True)
+
+
 def test_a_verdict_states_where_tests_end_far_below_the_largest_damping_of_theory(data, result):
     damping = result.experiments[0].scores[0].damping
     tested = max(point.damping for point in result.experiments[0].boundary)

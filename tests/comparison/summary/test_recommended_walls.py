@@ -321,6 +321,14 @@ def test_the_wall_to_set_is_neither_at_an_end_of_its_region_nor_one_that_oversho
     assert tested.favoured((400, 400, 10, 18), np.full(5, 900.0), np.full(5, np.nan)) == 1
 
 
+def test_an_unknown_overshoot_is_not_taken_for_none():
+    k, b = np.full(5, 400.0), np.arange(10.0, 20, 2)
+    cost = np.array([50.0, 60, 70, 80, 90])
+    tested = WallTrials(k, b, cost, cost, *[np.ones(5, dtype=bool)] * 2)
+    over = np.array([0.0, np.nan, 0.0, 0.02, 0.01])
+    assert tested.favoured((400, 400, 10, 18), np.full(5, 900.0), over) == 2
+
+
 def test_a_member_of_the_region_is_never_named_as_a_wall_against_it(course_1, monkeypatch):
     result, stages = course_1
     use = region_to_use(result, stages)[0]

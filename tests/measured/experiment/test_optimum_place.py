@@ -147,3 +147,10 @@ def test_a_wall_without_overshoot_is_alone_where_its_neighbours_overshoot():
     # the stiffest wall of the region is at its tip, and not alone
     assert free[(K == 2800) & (B == 104)].all()
     assert not is_alone(free, K, B, 2800.0, 104.0)
+
+
+def test_a_wall_without_neighbours_or_with_such_ones_alone_is_not_alone():
+    assert not is_alone(np.array([True]), np.array([800.0]), np.array([8.0]), 800.0, 8.0)
+    pair = np.array([800.0, 1200.0]), np.array([8.0, 8.0])
+    assert not is_alone(np.array([True, True]), *pair, 800.0, 8.0)
+    assert is_alone(np.array([True, False]), *pair, 800.0, 8.0)
